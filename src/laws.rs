@@ -1,0 +1,7 @@
+//! Microscopic laws: given physics at the fine scale, scalars in and scalars out.
+//!
+//! A law knows no grid, field or case, cannot fail, and is branch-free so that a loop over cells
+//! vectorises.
+
+pub mod drag;
+pub mod scales;

@@ -1,0 +1,8 @@
+//! Favre.
+#![deny(missing_docs)]
+pub mod case;
+pub mod fine;
+pub mod grid;
+pub mod laws;
+pub mod real;
+pub mod table;

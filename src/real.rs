@@ -1,0 +1,207 @@
+//! [`Real`]: the two precisions that every kernel compiles for.
+//!
+//! Only what the kernels need, so that a kernel written once is an `f32` and an `f64` kernel.
+//! Transcendentals are polynomial (see [`Real::exp2`], [`Real::log2`]) because calls into the
+//! system's mathematics library keep a loop from being vectorised and differ between systems.
+
+use std::fmt::{Debug, Display};
+use std::iter::Sum;
+use std::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
+
+/// A floating-point number: `f32` or `f64`.
+pub trait Real:
+    Copy
+    + Debug
+    + Default
+    + Display
+    + PartialEq
+    + PartialOrd
+    + Send
+    + Sync
+    + Sum
+    + 'static
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+    + AddAssign
+    + SubAssign
+    + MulAssign
+    + DivAssign
+{
+    /// 0.
+    const ZERO: Self;
+    /// 1.
+    const ONE: Self;
+
+    /// The nearest number to `x` in this precision.
+    fn of(x: f64) -> Self;
+    /// This number in double precision.
+    fn f64(self) -> f64;
+    /// √x, correctly rounded.
+    fn sqrt(self) -> Self;
+    /// |x|.
+    fn abs(self) -> Self;
+    /// The larger of two numbers, neither of them NaN.
+    fn max(self, other: Self) -> Self;
+    /// The smaller of two numbers, neither of them NaN.
+    fn min(self, other: Self) -> Self;
+    /// 2^x for normal results; branch-free.
+    fn exp2(self) -> Self;
+    /// log₂ x of a positive normal number; branch-free.
+    fn log2(self) -> Self;
+
+    /// `x` to a power, for x > 0: 2^(y log₂ x).
+    #[inline(always)]
+    fn power(self, y: Self) -> Self {
+        (y * self.log2()).exp2()
+    }
+
+    /// e^x.
+    #[inline(always)]
+    fn exp(self) -> Self {
+        (self * Self::of(std::f64::consts::LOG2_E)).exp2()
+    }
+
+    /// `yes` where `condition` holds, else `no`: both sides are evaluated, so it vectorises.
+    #[inline(always)]
+    fn select(condition: bool, yes: Self, no: Self) -> Self {
+        if condition { yes } else { no }
+    }
+}
+
+/// Coefficients of 2^f on |f| ≤ 1/2: (ln 2)^n / n!.
+const EXP2: [f64; 14] = {
+    let mut c = [1.0; 14];
+    let mut n = 1;
+    while n < 14 {
+        c[n] = c[n - 1] * std::f64::consts::LN_2 / n as f64;
+        n += 1;
+    }
+    c
+};
+
+/// log₂ m = (2 / ln 2) artanh s, s = (m-1)/(m+1): the series' coefficients of s^(2n+1).
+const LOG2: [f64; 12] = {
+    let mut c = [0.0; 12];
+    let mut n = 0;
+    while n < 12 {
+        c[n] = 2.0 * std::f64::consts::LOG2_E / (2 * n + 1) as f64;
+        n += 1;
+    }
+    c
+};
+
+macro_rules! real {
+    ($t:ident, $bits:ident, $signed:ident, $mantissa:expr, $bias:expr, $round:expr, $exp_terms:expr, $log_terms:expr) => {
+        impl Real for $t {
+            const ZERO: Self = 0.0;
+            const ONE: Self = 1.0;
+
+            #[inline(always)]
+            fn of(x: f64) -> Self {
+                x as $t
+            }
+            #[inline(always)]
+            fn f64(self) -> f64 {
+                self as f64
+            }
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                $t::sqrt(self)
+            }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                $t::abs(self)
+            }
+            #[inline(always)]
+            fn max(self, other: Self) -> Self {
+                if self > other { self } else { other }
+            }
+            #[inline(always)]
+            fn min(self, other: Self) -> Self {
+                if self < other { self } else { other }
+            }
+
+            #[inline(always)]
+            fn exp2(self) -> Self {
+                // Keeps the exponent normal; beyond, the result saturates instead of wrapping.
+                let limit = ($bias - 1) as $t;
+                let x = Real::min(Real::max(self, -limit), limit);
+                // Adding 1.5 · 2^mantissa rounds to an integer and leaves it in the low bits, so
+                // no float-to-integer conversion (scalar before AVX-512) is needed.
+                let shifted = x + $round;
+                let fraction = x - (shifted - $round);
+                let exponent = shifted.to_bits() << $mantissa;
+                let mut sum = EXP2[$exp_terms - 1] as $t;
+                let mut n = $exp_terms - 1;
+                while n > 0 {
+                    n -= 1;
+                    sum = sum * fraction + EXP2[n] as $t;
+                }
+                $t::from_bits(sum.to_bits().wrapping_add(exponent))
+            }
+
+            #[inline(always)]
+            fn log2(self) -> Self {
+                // x = 2^e m with m in [√½, √2).
+                let sqrt_half = std::f64::consts::FRAC_1_SQRT_2 as $t;
+                let offset = self.to_bits().wrapping_sub(sqrt_half.to_bits());
+                let exponent = ((offset as $signed) >> $mantissa) as $bits;
+                let m = $t::from_bits(self.to_bits().wrapping_sub(exponent << $mantissa));
+                // The exponent as a float, again without an integer conversion.
+                let e = $t::from_bits($round.to_bits().wrapping_add(exponent)) - $round;
+                let s = (m - 1.0) / (m + 1.0);
+                let s2 = s * s;
+                let mut sum = LOG2[$log_terms - 1] as $t;
+                let mut n = $log_terms - 1;
+                while n > 0 {
+                    n -= 1;
+                    sum = sum * s2 + LOG2[n] as $t;
+                }
+                sum * s + e
+            }
+        }
+    };
+}
+
+real!(f32, u32, i32, 23, 127, 12_582_912.0f32, 8, 5);
+real!(f64, u64, i64, 52, 1023, 6_755_399_441_055_744.0f64, 14, 11);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exp2_and_log2_agree_with_the_system_library() {
+        for i in -4000..=4000 {
+            let x = f64::from(i) * 0.013_7;
+            let found = Real::exp2(x);
+            assert!((found / f64::exp2(x) - 1.0).abs() < 4e-16, "2^{x}: {found}");
+            let found32 = Real::exp2(x as f32).f64();
+            assert!((found32 / f64::from(x as f32).exp2() - 1.0).abs() < 2.5e-7, "2^{x}");
+
+            let y = f64::exp2(x);
+            assert!((Real::log2(y) - x).abs() < 4e-16 * x.abs().max(1.0), "log2 {y}");
+            let y32 = y as f32;
+            let exact = f64::from(y32).log2();
+            assert!((Real::log2(y32).f64() - exact).abs() < 2.5e-7 * exact.abs().max(1.0));
+        }
+    }
+
+    #[test]
+    fn powers_are_exact_enough_for_the_drag_law() {
+        for i in 1..2000 {
+            let x = f64::from(i) * 0.01;
+            assert!((x.power(0.687) / x.powf(0.687) - 1.0).abs() < 4e-15);
+            assert!((x.power(-2.65) / x.powf(-2.65) - 1.0).abs() < 8e-15);
+        }
+    }
+
+    #[test]
+    fn exponents_out_of_range_saturate() {
+        assert!(Real::exp2(-5000.0f64) > 0.0 && Real::exp2(-5000.0f64) < 1e-300);
+        assert!(Real::exp2(5000.0f64).is_finite());
+    }
+}
