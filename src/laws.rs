@@ -4,4 +4,5 @@
 //! vectorises.
 
 pub mod drag;
+pub mod kinetic_theory;
 pub mod scales;

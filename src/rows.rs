@@ -1,0 +1,291 @@
+//! Walking a field row by row: the only home of threads, of the choice of SIMD, and of `unsafe`.
+//!
+//! A kernel is a function of slices, one row at a time. [`Rows`] calls it for every row, on as many
+//! threads as the pool has, and leaves the outputs' halos periodic. The [`simd!`] macro compiles a
+//! row function for AVX-512, for AVX2 and for the baseline, and picks one at run time, so that a
+//! portable binary runs at the speed of a native one.
+//!
+//! Reductions follow one fixed tree over the rows, so results do not depend on the number of
+//! threads.
+
+use crate::field::{Field, Layout};
+use crate::real::Real;
+use std::sync::atomic::{AtomicU8, Ordering};
+
+/// Rows that one thread does at a time; also the leaf of the reduction tree.
+const LEAF: usize = 8;
+
+/// Instruction sets that kernels are compiled for, best last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum Simd {
+    /// What every machine of the target has (SSE2 on x86-64).
+    Baseline = 1,
+    /// AVX2 with FMA.
+    Avx2 = 2,
+    /// AVX-512 F, VL, DQ, BW, CD.
+    Avx512 = 3,
+}
+
+static SIMD: AtomicU8 = AtomicU8::new(0);
+
+/// The instruction set that this machine's kernels use.
+#[inline(always)]
+pub fn simd_level() -> Simd {
+    match SIMD.load(Ordering::Relaxed) {
+        3 => Simd::Avx512,
+        2 => Simd::Avx2,
+        1 => Simd::Baseline,
+        _ => detect(),
+    }
+}
+
+#[cold]
+fn detect() -> Simd {
+    #[cfg(target_arch = "x86_64")]
+    let found = if is_x86_feature_detected!("avx512f")
+        && is_x86_feature_detected!("avx512vl")
+        && is_x86_feature_detected!("avx512dq")
+        && is_x86_feature_detected!("avx512bw")
+        && is_x86_feature_detected!("avx512cd")
+        && is_x86_feature_detected!("fma")
+    {
+        Simd::Avx512
+    } else if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+        Simd::Avx2
+    } else {
+        Simd::Baseline
+    };
+    #[cfg(not(target_arch = "x86_64"))]
+    let found = Simd::Baseline;
+    SIMD.store(found as u8, Ordering::Relaxed);
+    found
+}
+
+/// Compiles a row function once per instruction set and picks at run time.
+///
+/// The generics stand in brackets: `simd! { fn axpy[R: Real](y: &mut [R], a: R, x: &[R]) { .. } }`.
+/// Outputs must be arguments of their own (`&mut [R]`), so that the compiler knows that they do not
+/// overlap with the inputs.
+macro_rules! simd {
+    ($(#[$meta:meta])* $vis:vis fn $name:ident[$($generics:tt)*]($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)? $body:block) => {
+        $(#[$meta])*
+        #[allow(clippy::too_many_arguments)]
+        $vis fn $name<$($generics)*>($($arg: $ty),*) $(-> $ret)? {
+            #[inline(always)]
+            #[allow(clippy::too_many_arguments)]
+            fn body<$($generics)*>($($arg: $ty),*) $(-> $ret)? $body
+
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx2,fma")]
+            #[allow(clippy::too_many_arguments)]
+            fn avx2<$($generics)*>($($arg: $ty),*) $(-> $ret)? { body($($arg),*) }
+
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx512cd,avx2,fma")]
+            #[allow(clippy::too_many_arguments)]
+            fn avx512<$($generics)*>($($arg: $ty),*) $(-> $ret)? { body($($arg),*) }
+
+            #[cfg(target_arch = "x86_64")]
+            match $crate::rows::simd_level() {
+                // SAFETY: `simd_level` says so only where the processor has the instructions.
+                $crate::rows::Simd::Avx512 => return unsafe { avx512($($arg),*) },
+                // SAFETY: as above.
+                $crate::rows::Simd::Avx2 => return unsafe { avx2($($arg),*) },
+                $crate::rows::Simd::Baseline => {}
+            }
+            body($($arg),*)
+        }
+    };
+}
+pub(crate) use simd;
+
+/// The rows of a layout, and how they are shared out.
+#[derive(Clone, Copy, Debug)]
+pub struct Rows<const D: usize> {
+    layout: Layout<D>,
+    parallel: bool,
+}
+
+/// The outputs' memory, to be written by several threads in disjoint rows.
+struct Outputs<R, const K: usize>([*mut R; K]);
+
+// SAFETY: `Rows::reduce` hands each row to one thread only.
+unsafe impl<R: Send, const K: usize> Sync for Outputs<R, K> {}
+
+impl<const D: usize> Rows<D> {
+    /// The rows of `layout`; on several threads of the current pool if `parallel`.
+    pub fn new(layout: Layout<D>, parallel: bool) -> Self {
+        Self { layout, parallel }
+    }
+
+    /// Their layout.
+    pub fn layout(&self) -> Layout<D> {
+        self.layout
+    }
+
+    /// Distance in memory between neighbours along `axis`.
+    #[inline(always)]
+    pub fn stride(&self, axis: usize) -> usize {
+        self.layout.stride[axis]
+    }
+
+    /// Calls `kernel(offset, rows)` for every row; `rows` are that row of each output. On return
+    /// the outputs' halos are periodic.
+    pub fn each<R: Real, const K: usize>(
+        &self,
+        outputs: [&mut Field<R, D>; K],
+        kernel: impl Fn(usize, [&mut [R]; K]) + Sync,
+    ) {
+        self.reduce(outputs, &kernel, &|(), ()| ());
+    }
+
+    /// [`Rows::each`] whose kernel also returns a number (or several) per row, combined over the
+    /// rows in an order that does not depend on the number of threads.
+    pub fn reduce<R: Real, S: Send, const K: usize>(
+        &self,
+        mut outputs: [&mut Field<R, D>; K],
+        kernel: &(impl Fn(usize, [&mut [R]; K]) -> S + Sync),
+        combine: &(impl Fn(S, S) -> S + Sync),
+    ) -> S {
+        for output in &outputs {
+            assert_eq!(output.layout, self.layout, "an output of another layout");
+        }
+        let shared = Outputs(outputs.each_mut().map(|field| field.data.as_mut_ptr()));
+        let result = self.tree(0, self.layout.rows(), &shared, kernel, combine);
+        for output in outputs {
+            output.wrap_rows();
+        }
+        result
+    }
+
+    /// Combines a number per row, without outputs.
+    pub fn fold<S: Send>(
+        &self,
+        kernel: &(impl Fn(usize) -> S + Sync),
+        combine: &(impl Fn(S, S) -> S + Sync),
+    ) -> S {
+        self.reduce::<f64, S, 0>([], &|offset, []| kernel(offset), combine)
+    }
+
+    fn tree<R: Real, S: Send, const K: usize>(
+        &self,
+        begin: usize,
+        end: usize,
+        outputs: &Outputs<R, K>,
+        kernel: &(impl Fn(usize, [&mut [R]; K]) -> S + Sync),
+        combine: &(impl Fn(S, S) -> S + Sync),
+    ) -> S {
+        if end - begin <= LEAF {
+            let mut result = self.one(begin, outputs, kernel);
+            for row in begin + 1..end {
+                result = combine(result, self.one(row, outputs, kernel));
+            }
+            return result;
+        }
+        let middle = begin + (end - begin).div_ceil(2).next_multiple_of(LEAF);
+        let lower = || self.tree(begin, middle, outputs, kernel, combine);
+        let upper = || self.tree(middle, end, outputs, kernel, combine);
+        let (lower, upper) =
+            if self.parallel { rayon::join(lower, upper) } else { (lower(), upper()) };
+        combine(lower, upper)
+    }
+
+    #[inline(always)]
+    fn one<R: Real, S, const K: usize>(
+        &self,
+        row: usize,
+        outputs: &Outputs<R, K>,
+        kernel: &impl Fn(usize, [&mut [R]; K]) -> S,
+    ) -> S {
+        let offset = self.layout.row(row);
+        let n = self.layout.cells[0];
+        // SAFETY: `reduce` holds the outputs mutably, each with memory for this layout, and `tree`
+        // visits every row once; rows with their halo do not overlap.
+        let rows =
+            outputs.0.map(|data| unsafe { std::slice::from_raw_parts_mut(data.add(offset), n) });
+        let result = kernel(offset, rows);
+        let span = self.layout.row_with_halo(offset);
+        for data in outputs.0 {
+            // SAFETY: as above; the slices handed to the kernel are gone.
+            let row = unsafe { std::slice::from_raw_parts_mut(data.add(span.start), span.len()) };
+            Layout::<D>::wrap_row(row);
+        }
+        result
+    }
+}
+
+/// Lanes of a sum: as many partial sums as fill two of the widest vectors.
+const LANES: usize = 16;
+
+simd! {
+    /// Σ a b over a row, in double precision.
+    pub(crate) fn dot[R: Real](a: &[R], b: &[R]) -> f64 {
+        let b = &b[..a.len()];
+        let mut lanes = [0.0; LANES];
+        let whole = a.len() - a.len() % LANES;
+        for (a, b) in a[..whole].chunks_exact(LANES).zip(b[..whole].chunks_exact(LANES)) {
+            for lane in 0..LANES {
+                lanes[lane] += a[lane].f64() * b[lane].f64();
+            }
+        }
+        let mut sum: f64 = lanes.iter().sum();
+        for i in whole..a.len() {
+            sum += a[i].f64() * b[i].f64();
+        }
+        sum
+    }
+}
+
+simd! {
+    /// Largest |a| of a row.
+    pub(crate) fn max_abs[R: Real](a: &[R]) -> R {
+        let mut lanes = [R::ZERO; LANES];
+        let whole = a.len() - a.len() % LANES;
+        for a in a[..whole].chunks_exact(LANES) {
+            for lane in 0..LANES {
+                lanes[lane] = lanes[lane].max(a[lane].abs());
+            }
+        }
+        let mut max = lanes.into_iter().fold(R::ZERO, R::max);
+        for a in &a[whole..] {
+            max = max.max(a.abs());
+        }
+        max
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reductions_are_the_same_on_any_number_of_threads() {
+        let layout = Layout::new([37, 21, 6]);
+        let mut q = Field::<f64, 3>::zeros(layout);
+        let mut state = 1u64;
+        q.set(|_| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (state >> 11) as f64 / 1e15
+        });
+        let sum = |rows: Rows<3>| rows.fold(&|o| dot(q.row(o), q.row(o)), &|a, b| a + b);
+        let serial = sum(Rows::new(layout, false));
+        for threads in [1, 2, 3, 7] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let parallel = pool.install(|| sum(Rows::new(layout, true)));
+            assert_eq!(serial.to_bits(), parallel.to_bits());
+        }
+        let plain: f64 = q.interior().flatten().map(|q| q * q).sum();
+        assert!((serial / plain - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn every_row_is_written_once_and_wrapped() {
+        let layout = Layout::new([10, 12]);
+        let mut q = Field::<f32, 2>::zeros(layout);
+        Rows::new(layout, true).each([&mut q], |_, [q]| q.iter_mut().for_each(|q| *q += 1.0));
+        assert_eq!(q.sum(), 120.0);
+        assert!(q.row(layout.row(0) - 2 * layout.stride[1]).iter().all(|&q| q == 1.0));
+        assert!(q.row(layout.row(11) + 2).iter().all(|&q| q == 1.0));
+    }
+}
