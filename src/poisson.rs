@@ -1,0 +1,733 @@
+//! The pressure equation: -∇·(k ∇x) = b on a periodic grid, k given on faces.
+//!
+//! Conjugate gradients in the solver's precision, preconditioned by one multigrid cycle in single
+//! precision: the cycle only has to point the right way, and halving its memory traffic is most of
+//! its speed. Chebyshev-Jacobi smoothing, whose rows vectorise; coarse face coefficients are means
+//! of the coincident fine faces; corrections are constant per coarse cell, which keeps the
+//! preconditioner symmetric and harmless across jumps of k.
+
+use crate::field::{Faces, Field, Layout};
+use crate::grid::Grid;
+use crate::real::Real;
+use crate::rows::{Rows, dot, max_abs, simd};
+
+/// Precision of the preconditioner.
+type Fast = f32;
+
+/// Interval of eigenvalues of D⁻¹A that a smoothing sweep damps. The upper end is exact for a
+/// weakly diagonally dominant matrix; the lower is where the coarse grid takes over.
+const SMOOTHED: [f64; 2] = [0.45, 2.0];
+
+/// Interval and degree on the coarsest grid, which nothing coarser helps.
+const COARSEST: ([f64; 2], usize) = ([0.08, 2.0], 8);
+
+/// How a solve went.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Solve {
+    /// Iterations done.
+    pub iterations: usize,
+    /// Largest remaining |b + ∇·(k ∇x)|.
+    pub residual: f64,
+}
+
+/// A solver for one grid; holds its scratch, allocates nothing while solving.
+#[derive(Clone, Debug)]
+pub struct Poisson<R, const D: usize> {
+    rows: Rows<D>,
+    /// k / h² on faces.
+    weights: Faces<R, D>,
+    inverse_spacing_squared: [f64; D],
+    residual: Field<R, D>,
+    direction: Field<R, D>,
+    image: Field<R, D>,
+    levels: Vec<Level<D>>,
+}
+
+/// One grid of the multigrid hierarchy.
+#[derive(Clone, Debug)]
+struct Level<const D: usize> {
+    rows: Rows<D>,
+    /// How many of this level's cells make one of the next, along each axis.
+    coarsening: [usize; D],
+    weights: Faces<Fast, D>,
+    inverse_diagonal: Field<Fast, D>,
+    right: Field<Fast, D>,
+    solution: Field<Fast, D>,
+    /// The other half of the sweeps' ping-pong; also the residual.
+    other: Field<Fast, D>,
+    step: Field<Fast, D>,
+}
+
+impl<const D: usize> Level<D> {
+    fn new(cells: [usize; D], parallel: bool) -> Self {
+        let layout = Layout::new(cells);
+        // An odd or tiny axis stays as it is; the others go on being halved.
+        let coarsening = cells.map(|n| if n % 2 == 0 && n >= 4 { 2 } else { 1 });
+        let zeros = || Field::zeros(layout);
+        Self {
+            rows: Rows::new(layout, parallel),
+            coarsening,
+            weights: Field::zero_faces(layout),
+            inverse_diagonal: zeros(),
+            right: zeros(),
+            solution: zeros(),
+            other: zeros(),
+            step: zeros(),
+        }
+    }
+
+    fn coarser_cells(&self) -> Option<[usize; D]> {
+        let cells = self.rows.layout().cells;
+        let coarse = std::array::from_fn(|axis| cells[axis] / self.coarsening[axis]);
+        (coarse != cells).then_some(coarse)
+    }
+
+    fn set_diagonal(&mut self) {
+        let (rows, weights) = (self.rows, &self.weights);
+        rows.each([&mut self.inverse_diagonal], |o, [inverse]| {
+            let lower: [&[Fast]; D] = std::array::from_fn(|a| weights[a].row(o));
+            let upper = std::array::from_fn(|a| weights[a].row(o + rows.stride(a)));
+            inverse_diagonal_row(inverse, lower, upper);
+        });
+    }
+
+    /// One Chebyshev sweep: step = `keep` step + `scale` D⁻¹ (right - A solution),
+    /// solution += step.
+    fn sweep(&mut self, keep: Fast, scale: Fast) {
+        let Self { rows, weights, right, solution, other, step, inverse_diagonal, .. } = self;
+        rows.each([&mut *other, step], |o, [new, step]| {
+            let stencil = Stencil::at(weights, solution, o, rows);
+            sweep_row(new, step, stencil, right.row(o), inverse_diagonal.row(o), keep, scale);
+        });
+        std::mem::swap(solution, other);
+    }
+
+    /// Chebyshev smoothing of `degree` on the interval; `first` says that the solution is zero and
+    /// the first sweep already done.
+    fn smooth(&mut self, interval: [f64; 2], degree: usize, first_done: bool) {
+        let mut coefficients = Chebyshev::new(interval);
+        for n in 0..degree {
+            let (keep, scale) = coefficients.next();
+            if n > 0 || !first_done {
+                self.sweep(keep as Fast, scale as Fast);
+            }
+        }
+    }
+
+    /// right - A solution, into `other`.
+    fn set_residual(&mut self) {
+        let Self { rows, weights, right, solution, other, .. } = self;
+        rows.each([other], |o, [residual]| {
+            residual_row(residual, Stencil::at(weights, solution, o, rows), right.row(o));
+        });
+    }
+}
+
+/// The three-term recursion of Chebyshev's iteration on an interval of eigenvalues.
+struct Chebyshev {
+    centre: f64,
+    radius: f64,
+    rho: Option<f64>,
+}
+
+impl Chebyshev {
+    fn new([low, high]: [f64; 2]) -> Self {
+        Self { centre: 0.5 * (high + low), radius: 0.5 * (high - low), rho: None }
+    }
+
+    /// (keep, scale) of the next sweep.
+    fn next(&mut self) -> (f64, f64) {
+        let sigma = self.centre / self.radius;
+        match self.rho {
+            None => {
+                self.rho = Some(1.0 / sigma);
+                (0.0, 1.0 / self.centre)
+            }
+            Some(old) => {
+                let rho = 1.0 / (2.0 * sigma - old);
+                self.rho = Some(rho);
+                (rho * old, 2.0 * rho / self.radius)
+            }
+        }
+    }
+}
+
+/// What the five- or seven-point operator needs of a row.
+#[derive(Clone, Copy)]
+struct Stencil<'a, R, const D: usize> {
+    lower: [&'a [R]; D],
+    upper: [&'a [R]; D],
+    x: &'a [R],
+    x_lower: [&'a [R]; D],
+    x_upper: [&'a [R]; D],
+}
+
+impl<'a, R: Real, const D: usize> Stencil<'a, R, D> {
+    #[inline(always)]
+    fn at(weights: &'a Faces<R, D>, x: &'a Field<R, D>, o: usize, rows: &Rows<D>) -> Self {
+        Self {
+            lower: std::array::from_fn(|a| weights[a].row(o)),
+            upper: std::array::from_fn(|a| weights[a].row(o + rows.stride(a))),
+            x: x.row(o),
+            x_lower: std::array::from_fn(|a| x.row(o - rows.stride(a))),
+            x_upper: std::array::from_fn(|a| x.row(o + rows.stride(a))),
+        }
+    }
+
+    /// The same slices, of a length that the compiler knows to be `n`.
+    #[inline(always)]
+    fn cut(self, n: usize) -> Self {
+        Self {
+            lower: self.lower.map(|s| &s[..n]),
+            upper: self.upper.map(|s| &s[..n]),
+            x: &self.x[..n],
+            x_lower: self.x_lower.map(|s| &s[..n]),
+            x_upper: self.x_upper.map(|s| &s[..n]),
+        }
+    }
+
+    /// (A x)_i.
+    #[inline(always)]
+    fn apply(&self, i: usize) -> R {
+        let mut sum = R::ZERO;
+        for a in 0..D {
+            sum += self.lower[a][i] * (self.x[i] - self.x_lower[a][i])
+                + self.upper[a][i] * (self.x[i] - self.x_upper[a][i]);
+        }
+        sum
+    }
+}
+
+simd! {
+    fn inverse_diagonal_row[const D: usize](out: &mut [Fast], lower: [&[Fast]; D], upper: [&[Fast]; D]) {
+        let n = out.len();
+        let (lower, upper) = (lower.map(|s| &s[..n]), upper.map(|s| &s[..n]));
+        for i in 0..n {
+            let mut sum = 0.0;
+            for a in 0..D {
+                sum += lower[a][i] + upper[a][i];
+            }
+            out[i] = 1.0 / sum;
+        }
+    }
+}
+
+simd! {
+    fn sweep_row[const D: usize](
+        new: &mut [Fast],
+        step: &mut [Fast],
+        stencil: Stencil<'_, Fast, D>,
+        right: &[Fast],
+        inverse_diagonal: &[Fast],
+        keep: Fast,
+        scale: Fast,
+    ) {
+        let n = new.len();
+        let stencil = stencil.cut(n);
+        let (step, right, inverse_diagonal) = (&mut step[..n], &right[..n], &inverse_diagonal[..n]);
+        for i in 0..n {
+            let change = keep * step[i]
+                + scale * inverse_diagonal[i] * (right[i] - stencil.apply(i));
+            step[i] = change;
+            new[i] = stencil.x[i] + change;
+        }
+    }
+}
+
+simd! {
+    fn residual_row[const D: usize](out: &mut [Fast], stencil: Stencil<'_, Fast, D>, right: &[Fast]) {
+        let n = out.len();
+        let stencil = stencil.cut(n);
+        let right = &right[..n];
+        for i in 0..n {
+            out[i] = right[i] - stencil.apply(i);
+        }
+    }
+}
+
+simd! {
+    /// The first sweep from a zero solution: right, step and solution at once.
+    fn start_row[R: Real](
+        right: &mut [Fast],
+        step: &mut [Fast],
+        solution: &mut [Fast],
+        residual: &[R],
+        inverse_diagonal: &[Fast],
+        scale: Fast,
+    ) {
+        let n = right.len();
+        let (step, solution) = (&mut step[..n], &mut solution[..n]);
+        let (residual, inverse_diagonal) = (&residual[..n], &inverse_diagonal[..n]);
+        for i in 0..n {
+            let b = residual[i].f64() as Fast;
+            right[i] = b;
+            let change = scale * inverse_diagonal[i] * b;
+            step[i] = change;
+            solution[i] = change;
+        }
+    }
+}
+
+simd! {
+    fn convert_row[R: Real](out: &mut [Fast], from: &[R]) {
+        let from = &from[..out.len()];
+        for (out, from) in out.iter_mut().zip(from) {
+            *out = from.f64() as Fast;
+        }
+    }
+}
+
+simd! {
+    fn weight_row[R: Real](out: &mut [R], coefficient: &[R], scale: R) {
+        let coefficient = &coefficient[..out.len()];
+        for (out, k) in out.iter_mut().zip(coefficient) {
+            *out = scale * *k;
+        }
+    }
+}
+
+simd! {
+    fn direction_row[R: Real](direction: &mut [R], preconditioned: &[Fast], beta: R) {
+        let preconditioned = &preconditioned[..direction.len()];
+        for (p, z) in direction.iter_mut().zip(preconditioned) {
+            *p = R::of(f64::from(*z)) + beta * *p;
+        }
+    }
+}
+
+simd! {
+    fn image_row[R: Real, const D: usize](image: &mut [R], stencil: Stencil<'_, R, D>) {
+        let n = image.len();
+        let stencil = stencil.cut(n);
+        for i in 0..n {
+            image[i] = stencil.apply(i);
+        }
+    }
+}
+
+simd! {
+    /// x += alpha p, r -= alpha A p.
+    fn advance_row[R: Real](x: &mut [R], r: &mut [R], p: &[R], image: &[R], alpha: R) {
+        let n = x.len();
+        let (r, p, image) = (&mut r[..n], &p[..n], &image[..n]);
+        for i in 0..n {
+            x[i] += alpha * p[i];
+            r[i] -= alpha * image[i];
+        }
+    }
+}
+
+simd! {
+    /// (Σ z r, Σ z q) of a row, in double precision.
+    fn two_dots[R: Real](z: &[Fast], r: &[R], q: &[R]) -> (f64, f64) {
+        const LANES: usize = 16;
+        let (r, q) = (&r[..z.len()], &q[..z.len()]);
+        let mut zr = [0.0; LANES];
+        let mut zq = [0.0; LANES];
+        let whole = z.len() - z.len() % LANES;
+        for ((z, r), q) in z[..whole].chunks_exact(LANES)
+            .zip(r[..whole].chunks_exact(LANES))
+            .zip(q[..whole].chunks_exact(LANES))
+        {
+            for lane in 0..LANES {
+                let z = f64::from(z[lane]);
+                zr[lane] += z * r[lane].f64();
+                zq[lane] += z * q[lane].f64();
+            }
+        }
+        let mut sums = (zr.iter().sum::<f64>(), zq.iter().sum::<f64>());
+        for i in whole..z.len() {
+            sums.0 += f64::from(z[i]) * r[i].f64();
+            sums.1 += f64::from(z[i]) * q[i].f64();
+        }
+        sums
+    }
+}
+
+impl<R: Real, const D: usize> Poisson<R, D> {
+    /// A solver for `grid`; several threads if `parallel`.
+    pub fn new(grid: &Grid<D>, parallel: bool) -> Self {
+        let layout = Layout::from(grid);
+        let zeros = || Field::zeros(layout);
+        let mut levels = vec![Level::new(grid.cells, parallel)];
+        while let Some(cells) = levels[levels.len() - 1].coarser_cells() {
+            // Coarse grids are too small to share out.
+            levels.push(Level::new(cells, parallel && cells.iter().product::<usize>() > 16_384));
+        }
+        Self {
+            rows: Rows::new(layout, parallel),
+            weights: Field::zero_faces(layout),
+            inverse_spacing_squared: grid.spacing.map(|h| 1.0 / (h * h)),
+            residual: zeros(),
+            direction: zeros(),
+            image: zeros(),
+            levels,
+        }
+    }
+
+    /// Takes the face coefficients k, all positive.
+    pub fn set_coefficient(&mut self, coefficient: &Faces<R, D>) {
+        for axis in 0..D {
+            let scale = R::of(self.inverse_spacing_squared[axis]);
+            self.rows.each([&mut self.weights[axis]], |o, [weights]| {
+                weight_row(weights, coefficient[axis].row(o), scale);
+            });
+            let fine = &self.weights[axis];
+            let Level { rows, weights, .. } = &mut self.levels[0];
+            rows.each([&mut weights[axis]], |o, [weights]| convert_row(weights, fine.row(o)));
+        }
+        self.levels[0].set_diagonal();
+        for n in 1..self.levels.len() {
+            let (fine, coarse) = self.levels.split_at_mut(n);
+            coarsen_weights(&fine[n - 1], &mut coarse[0]);
+            coarse[0].set_diagonal();
+        }
+    }
+
+    /// Solves for `x`, from zero, until the largest residual is at most `tolerance`, or until it
+    /// stops falling, or for at most `most` iterations. The mean of `right` must vanish; that of
+    /// `x` is left at what it comes to.
+    pub fn solve(
+        &mut self,
+        x: &mut Field<R, D>,
+        right: &Field<R, D>,
+        tolerance: f64,
+        most: usize,
+    ) -> Solve {
+        let rows = self.rows;
+        let mut worst = rows
+            .reduce(
+                [&mut *x, &mut self.residual],
+                &|o, [x, residual]| {
+                    x.fill(R::ZERO);
+                    residual.copy_from_slice(right.row(o));
+                    max_abs(residual)
+                },
+                &R::max,
+            )
+            .f64();
+        let (mut alpha, mut old) = (0.0, 1.0);
+        let mut best = worst;
+        let mut stalled = 0;
+        for iteration in 0..most {
+            if worst <= tolerance || stalled >= 8 || !worst.is_finite() {
+                return Solve { iterations: iteration, residual: worst };
+            }
+            self.precondition();
+            let Self { levels, residual, direction, image, weights, .. } = self;
+            let z = &levels[0].solution;
+            let (zr, zq) = rows
+                .fold(&|o| two_dots(z.row(o), residual.row(o), image.row(o)), &|a, b| {
+                    (a.0 + b.0, a.1 + b.1)
+                });
+            // Polak-Ribière: z·(r - r_old) = -alpha z·q of the step before; it forgives a
+            // preconditioner that rounding makes slightly unsymmetric.
+            let beta = if iteration == 0 { 0.0 } else { (-alpha * zq / old).max(0.0) };
+            rows.each([&mut *direction], |o, [p]| direction_row(p, z.row(o), R::of(beta)));
+            let curvature = rows.reduce(
+                [&mut *image],
+                &|o, [image]| {
+                    image_row(image, Stencil::at(weights, direction, o, &rows));
+                    dot(image, direction.row(o))
+                },
+                &|a, b| a + b,
+            );
+            if curvature <= 0.0 {
+                return Solve { iterations: iteration, residual: worst };
+            }
+            let along = if beta == 0.0 {
+                zr
+            } else {
+                rows.fold(&|o| dot(residual.row(o), direction.row(o)), &|a, b| a + b)
+            };
+            alpha = along / curvature;
+            old = zr;
+            worst = rows
+                .reduce(
+                    [&mut *x, residual],
+                    &|o, [x, r]| {
+                        advance_row(x, r, direction.row(o), image.row(o), R::of(alpha));
+                        max_abs(r)
+                    },
+                    &R::max,
+                )
+                .f64();
+            if worst < 0.9 * best {
+                best = worst;
+                stalled = 0;
+            } else {
+                stalled += 1;
+            }
+        }
+        Solve { iterations: most, residual: worst }
+    }
+
+    /// One V-cycle on the residual; the result is the finest level's solution.
+    fn precondition(&mut self) {
+        let (_, first) = Chebyshev::new(SMOOTHED).next();
+        let last = self.levels.len() - 1;
+        for n in 0..=last {
+            let (finer, here) = self.levels.split_at_mut(n);
+            let level = &mut here[0];
+            let scale = if n == last { Chebyshev::new(COARSEST.0).next().1 } else { first } as Fast;
+            let Level { rows, right, step, solution, inverse_diagonal, .. } = level;
+            let finest = &self.residual;
+            match finer.last() {
+                None => rows.each([right, step, solution], |o, [right, step, solution]| {
+                    let inverse = inverse_diagonal.row(o);
+                    start_row(right, step, solution, finest.row(o), inverse, scale);
+                }),
+                Some(finer) => {
+                    restrict(finer, right);
+                    let right = &*right;
+                    // The residual is its own right-hand side here; copying it once more into
+                    // `other` would only cost.
+                    rows.each([step, solution], |o, [step, solution]| {
+                        first_row(step, solution, right.row(o), inverse_diagonal.row(o), scale);
+                    });
+                }
+            }
+            if n == last {
+                level.smooth(COARSEST.0, COARSEST.1, true);
+            } else {
+                level.smooth(SMOOTHED, 2, true);
+                level.set_residual();
+            }
+        }
+        for n in (0..last).rev() {
+            let (fine, coarse) = self.levels.split_at_mut(n + 1);
+            prolong(&coarse[0], &mut fine[n]);
+            fine[n].smooth(SMOOTHED, 2, false);
+        }
+    }
+}
+
+simd! {
+    fn first_row[](step: &mut [Fast], solution: &mut [Fast], right: &[Fast], inverse_diagonal: &[Fast], scale: Fast) {
+        let n = step.len();
+        let (solution, right, inverse) = (&mut solution[..n], &right[..n], &inverse_diagonal[..n]);
+        for i in 0..n {
+            let change = scale * inverse[i] * right[i];
+            step[i] = change;
+            solution[i] = change;
+        }
+    }
+}
+
+/// Offsets of the fine rows that make coarse row `row`, and how many there are. With `face`, only
+/// those whose lower faces along that axis lie on the coarse cells' lower faces.
+fn fine_rows<const D: usize>(
+    fine: &Level<D>,
+    coarse: &Layout<D>,
+    row: usize,
+    face: Option<usize>,
+) -> ([usize; 4], usize) {
+    let layout = fine.rows.layout();
+    let mut rest = row;
+    let mut offsets = [layout.row(0); 4];
+    let mut count = 1;
+    for axis in 1..D {
+        let shift = rest % coarse.cells[axis] * fine.coarsening[axis] * layout.stride[axis];
+        rest /= coarse.cells[axis];
+        offsets.iter_mut().for_each(|offset| *offset += shift);
+        if fine.coarsening[axis] == 2 && face != Some(axis) {
+            for i in 0..count {
+                offsets[count + i] = offsets[i] + layout.stride[axis];
+            }
+            count *= 2;
+        }
+    }
+    (offsets, count)
+}
+
+/// Number of a row from its offset.
+fn row_number<const D: usize>(layout: &Layout<D>, offset: usize) -> usize {
+    let mut rest = offset - layout.row(0);
+    let mut number = 0;
+    for axis in (1..D).rev() {
+        number = number * layout.cells[axis] + rest / layout.stride[axis];
+        rest %= layout.stride[axis];
+    }
+    number
+}
+
+/// Means of the fine residual (in `other`), into the coarse right-hand side.
+fn restrict<const D: usize>(fine: &Level<D>, right: &mut Field<Fast, D>) {
+    let layout = right.layout;
+    let coarse = Rows::new(layout, false);
+    coarse.each([right], |o, [right]| {
+        let (offsets, count) = fine_rows(fine, &layout, row_number(&layout, o), None);
+        right.fill(0.0);
+        for &offset in &offsets[..count] {
+            let residual = fine.other.row(offset);
+            if fine.coarsening[0] == 2 {
+                for (right, pair) in right.iter_mut().zip(residual.chunks_exact(2)) {
+                    *right += pair[0] + pair[1];
+                }
+            } else {
+                for (right, residual) in right.iter_mut().zip(residual) {
+                    *right += residual;
+                }
+            }
+        }
+        let scale = 1.0 / (count * fine.coarsening[0]) as Fast;
+        right.iter_mut().for_each(|right| *right *= scale);
+    });
+}
+
+/// Adds the coarse solution to the fine one, constant per coarse cell.
+fn prolong<const D: usize>(coarse: &Level<D>, fine: &mut Level<D>) {
+    let Level { rows, solution, coarsening, .. } = fine;
+    let layout = rows.layout();
+    let coarse_layout = coarse.rows.layout();
+    rows.each([solution], |o, [solution]| {
+        let mut rest = row_number(&layout, o);
+        let mut offset = coarse_layout.row(0);
+        for axis in 1..D {
+            let index = rest % layout.cells[axis];
+            rest /= layout.cells[axis];
+            offset += index / coarsening[axis] * coarse_layout.stride[axis];
+        }
+        let correction = coarse.solution.row(offset);
+        if coarsening[0] == 2 {
+            for (pair, correction) in solution.chunks_exact_mut(2).zip(correction) {
+                pair[0] += correction;
+                pair[1] += correction;
+            }
+        } else {
+            for (solution, correction) in solution.iter_mut().zip(correction) {
+                *solution += correction;
+            }
+        }
+    });
+}
+
+/// Coarse face coefficients: the mean of the coincident fine faces, over the square of the wider
+/// spacing.
+fn coarsen_weights<const D: usize>(fine: &Level<D>, coarse: &mut Level<D>) {
+    let layout = coarse.rows.layout();
+    for axis in 0..D {
+        let source = &fine.weights[axis];
+        // Weights carry 1/h².
+        let wider = if fine.coarsening[axis] == 2 { 0.25 } else { 1.0 };
+        coarse.rows.each([&mut coarse.weights[axis]], |o, [weights]| {
+            let (offsets, count) = fine_rows(fine, &layout, row_number(&layout, o), Some(axis));
+            weights.fill(0.0);
+            let along_row = if fine.coarsening[0] == 2 && axis > 0 { 2 } else { 1 };
+            for &offset in &offsets[..count] {
+                let row = source.row(offset);
+                match (fine.coarsening[0], axis) {
+                    (2, 0) => {
+                        for (w, pair) in weights.iter_mut().zip(row.chunks_exact(2)) {
+                            *w += pair[0];
+                        }
+                    }
+                    (2, _) => {
+                        for (w, pair) in weights.iter_mut().zip(row.chunks_exact(2)) {
+                            *w += pair[0] + pair[1];
+                        }
+                    }
+                    _ => {
+                        for (w, fine) in weights.iter_mut().zip(row) {
+                            *w += fine;
+                        }
+                    }
+                }
+            }
+            let scale = wider / (count * along_row) as Fast;
+            weights.iter_mut().for_each(|w| *w *= scale);
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn solve_random<R: Real, const D: usize>(cells: [usize; D], contrast: f64) -> (usize, f64) {
+        let grid = Grid::new(cells.map(|n| n as f64), cells);
+        let layout = Layout::from(&grid);
+        let mut state = 7u64;
+        let mut random = move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888);
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let mut k: Faces<R, D> = Field::zero_faces(layout);
+        // Blobs of low and high coefficient, as clusters make.
+        for axis in 0..D {
+            k[axis].set(|index| {
+                let wave: f64 = (0..D)
+                    .map(|a| {
+                        (std::f64::consts::TAU * 3.0 * index[a] as f64 / cells[a] as f64).sin()
+                    })
+                    .product();
+                R::of(contrast.powf(0.5 * (wave + 0.3 * random()).clamp(-1.0, 1.0)))
+            });
+        }
+        let mut b = Field::<R, D>::zeros(layout);
+        b.set(|_| R::of(random() - 0.5));
+        let mean = b.mean();
+        let copy = b.clone();
+        let mut values = copy.interior().flatten().copied();
+        b.set(|_| values.next().unwrap() - R::of(mean));
+        let mut poisson = Poisson::<R, D>::new(&grid, false);
+        poisson.set_coefficient(&k);
+        let mut x = Field::zeros(layout);
+        let solve = poisson.solve(&mut x, &b, 1e-5, 100);
+        // The residual is what it says, computed afresh.
+        let rows = Rows::new(layout, false);
+        let mut image = Field::<R, D>::zeros(layout);
+        rows.each([&mut image], |o, [image]| {
+            image_row(image, Stencil::at(&poisson.weights, &x, o, &rows));
+        });
+        let worst = image
+            .interior()
+            .flatten()
+            .zip(b.interior().flatten())
+            .fold(0.0f64, |m, (a, b)| m.max((a.f64() - b.f64()).abs()));
+        let round_off = if R::of(1e-10) + R::ONE == R::ONE { 2e-3 } else { 1e-10 };
+        assert!((worst - solve.residual).abs() < round_off, "{worst} {}", solve.residual);
+        (solve.iterations, worst)
+    }
+
+    #[test]
+    fn converges_at_the_contrast_of_clusters_on_every_shape_of_box() {
+        for contrast in [1.0, 100.0, 700.0] {
+            for cells in [[128, 128], [64, 256], [100, 36], [50, 34], [8, 8]] {
+                let (iterations, worst) = solve_random::<f64, 2>(cells, contrast);
+                println!("{cells:?} contrast {contrast}: {iterations}");
+                assert!(worst <= 1e-5, "{cells:?} {contrast}: {worst}");
+                assert!(iterations <= 45, "{cells:?} {contrast}: {iterations}");
+            }
+            for cells in [[32, 32, 32], [16, 16, 64], [10, 12, 14]] {
+                let (iterations, worst) = solve_random::<f64, 3>(cells, contrast);
+                println!("{cells:?} contrast {contrast}: {iterations}");
+                assert!(worst <= 1e-5 && iterations <= 45, "{cells:?} {contrast}: {iterations}");
+            }
+        }
+    }
+
+    #[test]
+    fn single_precision_stops_where_it_can_get_no_further() {
+        let (iterations, worst) = solve_random::<f32, 2>([128, 128], 100.0);
+        assert!(iterations < 60 && worst < 2e-3, "{iterations} {worst}");
+    }
+
+    #[test]
+    fn coarse_faces_are_means_of_the_coincident_fine_faces() {
+        let mut fine = Level::<3>::new([4, 4, 8], false);
+        for axis in 0..3 {
+            fine.weights[axis].set(|i| (1 + i[0] + 10 * i[1] + 100 * i[2]) as Fast);
+        }
+        let mut coarse = Level::<3>::new(fine.coarser_cells().unwrap(), false);
+        coarsen_weights(&fine, &mut coarse);
+        let at = |axis: usize, i: [usize; 3]| {
+            let layout = coarse.rows.layout();
+            coarse.weights[axis].row(layout.row(i[1] + i[2] * layout.cells[1]))[i[0]]
+        };
+        // Cell (1, 0, 2) covers fine cells 2-3, 0-1, 4-5.
+        assert_eq!(at(0, [1, 0, 2]), 0.25 * (1.0 + 2.0 + 5.0 + 450.0));
+        assert_eq!(at(1, [1, 0, 2]), 0.25 * (1.0 + 2.5 + 0.0 + 450.0));
+        assert_eq!(at(2, [1, 0, 2]), 0.25 * (1.0 + 2.5 + 5.0 + 400.0));
+    }
+}

@@ -1,0 +1,688 @@
+//! [`TwoFluid`]: the kinetic-theory two-fluid model in a periodic box.
+//!
+//! Balances of mass and momentum of both phases and of granular energy (Agrawal et al. 2001; see
+//! [`laws`](crate::laws) for the closures), driven by gravity and a mean gas pressure gradient that
+//! balances the weight. The gas is incompressible; its deviatoric stress is left out.
+//!
+//! Staggered grid: solids fraction φ, granular temperature T and gas pressure p at cell centres,
+//! velocities on faces. A step of [`TwoFluid::step`]:
+//!
+//! 1. volume fluxes through the faces: solids upwind, gas the rest of the divergence-free total;
+//! 2. φ and T by those fluxes;
+//! 3. momentum of both phases by the same fluxes, the gas in as many sub-steps as it needs;
+//! 4. drag coefficient and kinetic-theory closures;
+//! 5. viscous stress of the solids, with the heat that its loss of kinetic energy makes;
+//! 6. balance of granular energy, implicit in each cell; solids pressure;
+//! 7. drag implicit on each face, with weight, solids pressure and the old gas pressure;
+//! 8. projection: the pressure increment that makes the total volume flux divergence-free.
+//!
+//! Momentum of the mixture is conserved to round-off, because every exchange is one number with
+//! two signs.
+
+mod exchange;
+mod granular;
+mod stress;
+mod transport;
+
+use crate::case::DragChoice;
+use crate::field::{Faces, Field, Layout};
+use crate::fine::{FineFields, symmetric_index};
+use crate::grid::Grid;
+use crate::laws::drag::WenYu;
+use crate::laws::kinetic_theory::{KineticTheory, PackingBarrier, balance_temperature};
+use crate::laws::scales::{Gas, Powder, homogeneous_slip};
+use crate::poisson::Poisson;
+use crate::real::Real;
+use crate::rows::Rows;
+use exchange::Inertia;
+use granular::{Closures, DragRow};
+use rand::{RngExt, SeedableRng};
+use stress::Stress;
+use transport::{Fluxes, Share};
+
+/// Solids fraction added to the solids' inertia (not to their weight or volume), so that velocity
+/// and temperature of an empty cell are defined. It takes part in no force and is not carried.
+const GHOST: f64 = 1e-7;
+
+/// Largest Courant number of the solids' and of a gas sub-step's advection, summed over the axes:
+/// forward Euler with limited slopes gives false states at 0.8, right ones at 0.4 and below, and
+/// keeps φ positive up to 0.5.
+const COURANT: f64 = 0.4;
+
+/// Most gas sub-steps in a step.
+const MOST_GAS_STEPS: usize = 4;
+
+/// Courant number of the granular sound; the staggered leap between φ and u_s is stable up to 1
+/// on the norm that [`TwoFluid::step`] uses.
+const SOUND_COURANT: f64 = 0.7;
+
+/// Bound on viscosity and conductivity per mass, times dt and Σ 1/h²: an explicit step is stable,
+/// and loses kinetic energy, at any viscosity. Touches only nearly empty cells.
+const DIFFUSION: f64 = 0.36;
+
+/// Growth of the time step from one step to the next.
+const GROWTH: f64 = 1.1;
+
+/// First time step, and the largest ever, in u_t/g.
+const FIRST_STEP: f64 = 1e-3;
+const LONGEST_STEP: f64 = 0.05;
+
+/// Remaining divergence of the total volume flux, times dt, that ends the pressure iteration.
+const TOLERANCE: f64 = 1e-4;
+
+/// Most pressure iterations in a step.
+const MOST_ITERATIONS: usize = 60;
+
+/// What fills the box, in the solver's precision.
+struct Medium<R> {
+    theory: KineticTheory<R>,
+    barrier: PackingBarrier<R>,
+    drag: Box<dyn DragRow<R>>,
+    solids_density: R,
+    gas_density: R,
+}
+
+/// What the two-fluid model is asked to compute.
+#[derive(Clone, Copy, Debug)]
+pub struct Setup {
+    /// The powder.
+    pub powder: Powder,
+    /// The gas.
+    pub gas: Gas,
+    /// Gravity [m/s²].
+    pub gravity: f64,
+    /// Fine-grid drag law.
+    pub drag: DragChoice,
+    /// Mean solids fraction of the box.
+    pub solids_fraction: f64,
+    /// Relative amplitude of the initial random perturbation of the solids fraction.
+    pub perturbation: f64,
+    /// Its seed.
+    pub seed: u64,
+    /// Whether a step may use the threads of the current pool.
+    pub parallel: bool,
+}
+
+/// What limited a time step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Limit {
+    /// The growth from the step before.
+    Growth,
+    /// Advection by the solids.
+    Solids,
+    /// Advection by the gas.
+    Gas,
+    /// The solids' speed of sound.
+    Sound,
+    /// The longest step allowed.
+    Longest,
+}
+
+/// How a step went.
+#[derive(Clone, Copy, Debug)]
+pub struct StepReport {
+    /// Its length [s].
+    pub dt: f64,
+    /// What limited it.
+    pub limit: Limit,
+    /// Sub-steps of the gas.
+    pub gas_steps: usize,
+    /// Pressure iterations.
+    pub iterations: usize,
+    /// Volume that the pressure left unaccounted for: largest |∇·(φ u_s + (1-φ) u_g)| dt [-].
+    pub volume_residual: f64,
+}
+
+/// A step that failed; the state is of no use any more.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum StepError {
+    /// The pressure iteration did not converge.
+    #[error(
+        "the gas pressure did not converge at t = {time:.6} s: after {iterations} iterations \
+         {residual:.1e} of a cell's volume is unaccounted for (dt = {dt:.2e} s, limited by {limit:?})"
+    )]
+    Pressure {
+        /// Simulated time [s].
+        time: f64,
+        /// Iterations done.
+        iterations: usize,
+        /// Remaining divergence times dt.
+        residual: f64,
+        /// Time step [s].
+        dt: f64,
+        /// What limited the step.
+        limit: Limit,
+    },
+    /// A field is no longer finite.
+    #[error("the fields are not finite at t = {time:.6} s (dt = {dt:.2e} s, limited by {limit:?})")]
+    NotFinite {
+        /// Simulated time [s].
+        time: f64,
+        /// Time step [s].
+        dt: f64,
+        /// What limited the step.
+        limit: Limit,
+    },
+}
+
+/// Means over the box at one instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Means<const D: usize> {
+    /// ⟨(1-φ) u_g⟩/⟨1-φ⟩ - ⟨φ u_s⟩/⟨φ⟩, vertical [m/s].
+    pub slip: f64,
+    /// ⟨φ (u_g - u_s)⟩/⟨φ⟩, vertical: the slip that the particles see [m/s].
+    pub particle_slip: f64,
+    /// ⟨φ⟩ [-].
+    pub solids_fraction: f64,
+    /// ⟨φ²⟩ - ⟨φ⟩² [-].
+    pub solids_fraction_variance: f64,
+    /// Momentum of the mixture per volume, ghost mass included [kg/m²/s].
+    pub momentum: [f64; D],
+}
+
+/// The kinetic-theory two-fluid model, in a periodic box of `D` dimensions.
+pub struct TwoFluid<R, const D: usize> {
+    grid: Grid<D>,
+    rows: Rows<D>,
+    setup: Setup,
+    medium: Medium<R>,
+    /// The drag law in double precision, for what is handed to the filter.
+    law: Box<dyn DragRow<f64>>,
+    /// Weight less the mean pressure gradient's push, g (ρ_mean - ρ_k), for solids and gas [N/m³].
+    buoyancy: [R; 2],
+    time: f64,
+    steps: u64,
+    next_dt: (f64, Limit),
+
+    phi: Field<R, D>,
+    theta: Field<R, D>,
+    pressure: Field<R, D>,
+    solids: Faces<R, D>,
+    gas: Faces<R, D>,
+
+    // What a step leaves behind, so that none is allocated in it.
+    phi_new: Field<R, D>,
+    theta_new: Field<R, D>,
+    solids_new: Faces<R, D>,
+    gas_new: Faces<R, D>,
+    fluxes: Fluxes<R, D>,
+    closures: Closures<R, D>,
+    stress: Stress<R, D>,
+    solids_pressure: Field<R, D>,
+    right: Field<R, D>,
+    increment: Field<R, D>,
+    poisson: Poisson<R, D>,
+}
+
+fn drag_rows<R: Real>(choice: DragChoice, gas: &Gas, powder: &Powder) -> Box<dyn DragRow<R>> {
+    match choice {
+        DragChoice::WenYu => Box::new(WenYu::<R>::new(gas, powder)),
+    }
+}
+
+impl<R: Real, const D: usize> TwoFluid<R, D> {
+    /// The uniform fluidised state, perturbed in its solids fraction, in the frame in which the
+    /// mixture has no momentum.
+    pub fn new(grid: Grid<D>, setup: Setup) -> Self {
+        let Setup { powder, gas, gravity, solids_fraction: mean, .. } = setup;
+        let layout = Layout::from(&grid);
+        let zeros = || Field::zeros(layout);
+        let slip = uniform_slip(&setup);
+        let theory = KineticTheory::<f64>::new(&gas, &powder);
+
+        let mut phi = zeros();
+        // White noise of exactly zero mean, at most the amplitude.
+        let mut random = rand_pcg::Pcg64::seed_from_u64(setup.seed);
+        let noise: Vec<f64> = (0..grid.len()).map(|_| random.random_range(-1.0..1.0)).collect();
+        let noise_mean = noise.iter().sum::<f64>() / noise.len() as f64;
+        let mut noise = noise.into_iter();
+        phi.set(|_| {
+            let noise = noise.next().unwrap_or_default() - noise_mean;
+            R::of(mean * (1.0 + setup.perturbation * noise))
+        });
+        let mean = phi.mean();
+
+        let mixture = powder.density * mean + gas.density * (1.0 - mean);
+        let mut theta = zeros();
+        let temperature = uniform_temperature(&setup, &theory, slip);
+        theta.set(|_| R::of(temperature));
+        let mut solids = Field::zero_faces(layout);
+        let mut carrier = Field::zero_faces(layout);
+        solids[D - 1].set(|_| R::of(-gas.density * (1.0 - mean) * slip / mixture));
+        carrier[D - 1].set(|_| R::of(powder.density * mean * slip / mixture));
+
+        let time_scale = crate::laws::scales::Scales::new(&powder, &gas, gravity).time();
+        Self {
+            grid,
+            rows: Rows::new(layout, setup.parallel),
+            medium: Medium {
+                theory: KineticTheory::new(&gas, &powder),
+                barrier: PackingBarrier::new(&powder),
+                drag: drag_rows(setup.drag, &gas, &powder),
+                solids_density: R::of(powder.density),
+                gas_density: R::of(gas.density),
+            },
+            law: drag_rows(setup.drag, &gas, &powder),
+            buoyancy: [
+                R::of(gravity * (mixture - powder.density)),
+                R::of(gravity * (mixture - gas.density)),
+            ],
+            setup,
+            time: 0.0,
+            steps: 0,
+            next_dt: (FIRST_STEP * time_scale, Limit::Growth),
+            phi,
+            theta,
+            pressure: zeros(),
+            solids,
+            gas: carrier,
+            phi_new: zeros(),
+            theta_new: zeros(),
+            solids_new: Field::zero_faces(layout),
+            gas_new: Field::zero_faces(layout),
+            fluxes: Fluxes {
+                solids: Field::zero_faces(layout),
+                gas: Field::zero_faces(layout),
+                heat: Field::zero_faces(layout),
+            },
+            closures: Closures::zeros(layout),
+            stress: Stress::zeros(layout),
+            solids_pressure: zeros(),
+            right: zeros(),
+            increment: zeros(),
+            poisson: Poisson::new(&grid, setup.parallel),
+        }
+    }
+
+    /// Advances by one time step, chosen by stability and at most `most` [s].
+    ///
+    /// # Errors
+    /// When the pressure does not converge or a field is no longer finite.
+    pub fn step(&mut self, most: f64) -> Result<StepReport, StepError> {
+        let rows = self.rows;
+        let (dt, limit) = if self.next_dt.0 > most { (most, Limit::Longest) } else { self.next_dt };
+        let inverse_spacing = self.grid.spacing.map(|h| R::of(1.0 / h));
+        let courant = self.grid.spacing.map(|h| R::of(dt / h));
+        let inverse_square: f64 = self.grid.spacing.iter().map(|h| 1.0 / (h * h)).sum();
+
+        self.fluxes.set(&rows, &self.phi, &self.theta, &self.solids, &self.gas);
+
+        let transported = [&mut self.phi_new, &mut self.theta_new];
+        transport::advect(&rows, transported, &self.phi, &self.theta, &self.fluxes, courant);
+
+        let fractions = [&self.phi, &self.phi_new];
+        for axis in 0..D {
+            let new = &mut self.solids_new[axis];
+            let (old, flux) = (&self.solids[axis], &self.fluxes.solids);
+            let shares = Share::solids();
+            transport::advect_momentum(&rows, axis, new, old, flux, fractions, shares, courant);
+        }
+        let gas_courant = dt * self.largest_courant(&self.gas);
+        let gas_steps = ((gas_courant / COURANT).ceil() as usize).clamp(1, MOST_GAS_STEPS);
+        let part = 1.0 / gas_steps as f64;
+        for n in 0..gas_steps {
+            let shares = [Share::gas(n as f64 * part), Share::gas((n + 1) as f64 * part)];
+            let courant = courant.map(|c| c * R::of(part));
+            for axis in 0..D {
+                let new = &mut self.gas_new[axis];
+                let (old, flux) = (&self.gas[axis], &self.fluxes.gas);
+                transport::advect_momentum(&rows, axis, new, old, flux, fractions, shares, courant);
+            }
+            std::mem::swap(&mut self.gas, &mut self.gas_new);
+        }
+        std::mem::swap(&mut self.phi, &mut self.phi_new);
+
+        let cap = R::of(DIFFUSION / (dt * inverse_square));
+        let velocities = [&self.solids_new, &self.gas];
+        self.closures.set(&rows, &self.medium, &self.phi, &self.theta_new, velocities, cap);
+
+        let Closures { viscosity, bulk_viscosity, .. } = &self.closures;
+        self.stress.set(&rows, &self.solids_new, viscosity, bulk_viscosity, inverse_spacing);
+        let impulse = R::of(dt) / self.medium.solids_density;
+        for axis in 0..D {
+            let (new, old) = (&mut self.solids[axis], &self.solids_new[axis]);
+            self.stress.apply(&rows, axis, new, old, &self.phi, impulse, inverse_spacing);
+        }
+        let velocities = [&self.solids_new, &self.solids];
+        let [before, after] = velocities;
+        self.stress.set_shear_heating(&rows, before, after, &self.phi, inverse_spacing);
+
+        let sound = granular::balance(
+            &rows,
+            [&mut self.theta, &mut self.solids_pressure],
+            &self.medium,
+            &self.phi,
+            &self.theta_new,
+            &self.closures,
+            &self.stress,
+            velocities,
+            inverse_spacing,
+            R::of(dt),
+        );
+
+        let inertia = Inertia::new(&self.medium, R::of(dt));
+        let drag = &self.closures.drag_per_fraction;
+        for axis in 0..D {
+            // The fluxes have done their work: their memory now holds the total flux and its
+            // response to the pressure.
+            let outputs = [
+                &mut self.solids[axis],
+                &mut self.gas[axis],
+                &mut self.fluxes.solids[axis],
+                &mut self.fluxes.gas[axis],
+            ];
+            let buoyancy = if axis + 1 == D { self.buoyancy } else { [R::ZERO; 2] };
+            exchange::predict(
+                &rows,
+                axis,
+                outputs,
+                &self.phi,
+                drag,
+                &self.solids_pressure,
+                &self.pressure,
+                inertia,
+                buoyancy,
+                inverse_spacing[axis],
+            );
+        }
+
+        exchange::convergence(&rows, &mut self.right, &self.fluxes.solids, inverse_spacing);
+        self.poisson.set_coefficient(&self.fluxes.gas);
+        let solve =
+            self.poisson.solve(&mut self.increment, &self.right, TOLERANCE / dt, MOST_ITERATIONS);
+        for axis in 0..D {
+            let velocities = [&mut self.solids[axis], &mut self.gas[axis]];
+            let (increment, spacing) = (&self.increment, inverse_spacing[axis]);
+            exchange::correct(
+                &rows, axis, velocities, &self.phi, drag, increment, inertia, spacing,
+            );
+        }
+        let increment = &self.increment;
+        rows.each([&mut self.pressure], |o, [p]| exchange::add_row(p, increment.row(o)));
+
+        self.time += dt;
+        self.steps += 1;
+        let report = StepReport {
+            dt,
+            limit,
+            gas_steps,
+            iterations: solve.iterations,
+            volume_residual: solve.residual * dt,
+        };
+        let StepReport { iterations, volume_residual: residual, .. } = report;
+        let time = self.time;
+        let sound = sound.f64();
+        if !(residual.is_finite() && sound.is_finite()) {
+            return Err(StepError::NotFinite { time, dt, limit });
+        }
+        // Round-off stops single precision above the tolerance; that much is no failure.
+        if residual > 100.0 * TOLERANCE {
+            return Err(StepError::Pressure { time, iterations, residual, dt, limit });
+        }
+        self.next_dt = self.choose_step(dt, sound, inverse_square);
+        Ok(report)
+    }
+
+    /// The next time step and what limits it.
+    fn choose_step(&self, dt: f64, sound_squared: f64, inverse_square: f64) -> (f64, Limit) {
+        let scales = crate::laws::scales::Scales::new(
+            &self.setup.powder,
+            &self.setup.gas,
+            self.setup.gravity,
+        );
+        let tiny = 1e-300;
+        [
+            (COURANT / (self.largest_courant(&self.solids) + tiny), Limit::Solids),
+            (
+                MOST_GAS_STEPS as f64 * COURANT / (self.largest_courant(&self.gas) + tiny),
+                Limit::Gas,
+            ),
+            (SOUND_COURANT / (sound_squared * inverse_square + tiny).sqrt(), Limit::Sound),
+            (LONGEST_STEP * scales.time(), Limit::Longest),
+        ]
+        .into_iter()
+        .fold((GROWTH * dt, Limit::Growth), |best, next| if next.0 < best.0 { next } else { best })
+    }
+
+    /// Largest Σ |u_a|/h_a of a cell [1/s].
+    fn largest_courant(&self, velocity: &Faces<R, D>) -> f64 {
+        let rows = self.rows;
+        let inverse_spacing = self.grid.spacing.map(|h| R::of(1.0 / h));
+        rows.fold(
+            &|o| {
+                let u = std::array::from_fn(|a| {
+                    [velocity[a].row(o), velocity[a].row(o + rows.stride(a))]
+                });
+                exchange::courant_row(u, inverse_spacing)
+            },
+            &R::max,
+        )
+        .f64()
+    }
+
+    /// Simulated time [s].
+    pub fn time(&self) -> f64 {
+        self.time
+    }
+
+    /// Steps done.
+    pub fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    /// The grid.
+    pub fn grid(&self) -> Grid<D> {
+        self.grid
+    }
+
+    /// Solids fraction at cell centres.
+    pub fn solids_fraction(&self) -> &Field<R, D> {
+        &self.phi
+    }
+
+    /// Granular temperature at cell centres [m²/s²].
+    pub fn granular_temperature(&self) -> &Field<R, D> {
+        &self.theta
+    }
+
+    /// Slip velocity of the uniform state at the box's mean solids fraction [m/s].
+    pub fn uniform_slip(&self) -> f64 {
+        uniform_slip(&self.setup)
+    }
+
+    /// Means over the box.
+    pub fn means(&self) -> Means<D> {
+        let (rows, up) = (self.rows, D - 1);
+        let s = rows.stride(up);
+        let (rho_s, rho_g) = (self.setup.powder.density, self.setup.gas.density);
+        // Σ over faces: φ u_s, (1-φ) u_g, φ u_g along the vertical; Σ φ, Σ φ² over cells.
+        let [solids, gas, seen, phi, square] = rows.fold(
+            &|o| {
+                let mut sums = [0.0; 5];
+                let (below, here) = (self.phi.row(o - s), self.phi.row(o));
+                let (us, ug) = (self.solids[up].row(o), self.gas[up].row(o));
+                for i in 0..here.len() {
+                    let face = 0.5 * (below[i].f64() + here[i].f64());
+                    let (us, ug, phi) = (us[i].f64(), ug[i].f64(), here[i].f64());
+                    sums[0] += face * us;
+                    sums[1] += (1.0 - face) * ug;
+                    sums[2] += face * ug;
+                    sums[3] += phi;
+                    sums[4] += phi * phi;
+                }
+                sums
+            },
+            &|a, b| std::array::from_fn(|n| a[n] + b[n]),
+        );
+        let cells = self.grid.len() as f64;
+        let mean = phi / cells;
+        let momentum = std::array::from_fn(|a| {
+            let s = rows.stride(a);
+            let sum = rows.fold(
+                &|o| {
+                    let phi = self.phi.row(o - s).iter().zip(self.phi.row(o));
+                    let velocities = self.solids[a].row(o).iter().zip(self.gas[a].row(o));
+                    phi.zip(velocities)
+                        .map(|((below, here), (us, ug))| {
+                            let face = 0.5 * (below.f64() + here.f64());
+                            rho_s * (face + GHOST) * us.f64() + rho_g * (1.0 - face) * ug.f64()
+                        })
+                        .sum::<f64>()
+                },
+                &|a, b| a + b,
+            );
+            sum / cells
+        });
+        Means {
+            slip: gas / (cells - phi) - solids / phi,
+            particle_slip: (seen - solids) / phi,
+            solids_fraction: mean,
+            solids_fraction_variance: (square / cells - mean * mean).max(0.0),
+            momentum,
+        }
+    }
+
+    /// Leaves the resolved fields of this instant in `fine`, at cell centres.
+    ///
+    /// # Panics
+    /// When `fine` is of another grid.
+    pub fn fields(&self, fine: &mut FineFields<D>) {
+        assert_eq!(fine.grid, self.grid, "fields of another grid");
+        fine.time = self.time;
+        let theory = KineticTheory::<f64>::new(&self.setup.gas, &self.setup.powder);
+        let barrier = PackingBarrier::<f64>::new(&self.setup.powder);
+        let h = self.grid.spacing;
+        let stride = self.rows.layout().stride;
+        // Velocity of a phase at a centre, as the mean of the two faces.
+        let centre = |u: &Field<R, D>, a: usize, at: usize| {
+            0.5 * (u.data[at].f64() + u.data[at + stride[a]].f64())
+        };
+        let mut cell = 0;
+        for row in 0..self.rows.layout().rows() {
+            let offset = self.rows.layout().row(row);
+            for at in offset..offset + self.grid.cells[0] {
+                let phi = self.phi.data[at].f64();
+                let theta = self.theta.data[at].f64();
+                let mut slip_squared = 0.0;
+                let mut divergence = 0.0;
+                for a in 0..D {
+                    let (us, ug) = (centre(&self.solids[a], a, at), centre(&self.gas[a], a, at));
+                    fine.solids_velocity[a][cell] = us;
+                    fine.gas_velocity[a][cell] = ug;
+                    slip_squared += (ug - us).powi(2);
+                    let (upper, lower) =
+                        (self.solids[a].data[at + stride[a]], self.solids[a].data[at]);
+                    divergence += (upper.f64() - lower.f64()) / h[a];
+                }
+                let up = stride[D - 1];
+                let (above, below) = (self.pressure.data[at + up], self.pressure.data[at - up]);
+                let drag = self.law.per_fraction(phi, slip_squared.sqrt());
+                let g0 = theory.radial_distribution(phi);
+                let transport = theory.transport(phi, g0, theta, drag);
+                fine.solids_fraction[cell] = phi;
+                fine.granular_temperature[cell] = theta;
+                fine.vertical_pressure_gradient[cell] =
+                    (above.f64() - below.f64()) / (2.0 * h[D - 1]);
+                fine.drag_coefficient[cell] = phi * drag;
+                fine.solids_pressure[cell] = theory.pressure(phi, g0, theta)
+                    + barrier.pressure(phi).0
+                    - transport.bulk_viscosity * divergence;
+                for b in 0..D {
+                    for a in 0..=b {
+                        let strain = if a == b {
+                            let (upper, lower) =
+                                (self.solids[a].data[at + stride[a]], self.solids[a].data[at]);
+                            (upper.f64() - lower.f64()) / h[a] - divergence / 3.0
+                        } else {
+                            let across = |u: usize, by: usize| {
+                                let field = &self.solids[u];
+                                (centre(field, u, at + stride[by])
+                                    - centre(field, u, at - stride[by]))
+                                    / (2.0 * h[by])
+                            };
+                            0.5 * (across(a, b) + across(b, a))
+                        };
+                        fine.solids_stress[symmetric_index(a, b)][cell] =
+                            -2.0 * transport.viscosity * strain;
+                    }
+                }
+                cell += 1;
+            }
+        }
+    }
+}
+
+/// Slip velocity of the uniform state [m/s].
+fn uniform_slip(setup: &Setup) -> f64 {
+    let Setup { powder, gas, gravity, solids_fraction, .. } = setup;
+    match setup.drag {
+        DragChoice::WenYu => {
+            let law = WenYu::new(gas, powder);
+            homogeneous_slip(&law, powder, gas, *gravity, *solids_fraction)
+        }
+    }
+}
+
+/// Granular temperature at which production by `slip` balances dissipation [m²/s²].
+fn uniform_temperature(setup: &Setup, theory: &KineticTheory<f64>, slip: f64) -> f64 {
+    let phi = setup.solids_fraction;
+    let drag = (1.0 - phi) * (setup.powder.density - setup.gas.density) * setup.gravity / slip;
+    let g0 = theory.radial_distribution(phi);
+    // The balance relaxes within milliseconds; a second's worth of steps has long settled.
+    (0..1000).fold(0.0, |theta, _| {
+        balance_temperature(
+            theta,
+            0.0,
+            theory.collisional_dissipation(phi, g0),
+            theory.viscous_dissipation(drag),
+            theory.slip_production(g0, slip * slip),
+            1e-3,
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::laws::scales::Scales;
+    use crate::laws::scales::tests::{GAS, POWDER};
+
+    pub(super) fn setup(solids_fraction: f64, perturbation: f64) -> Setup {
+        Setup {
+            powder: POWDER,
+            gas: GAS,
+            gravity: 9.81,
+            drag: DragChoice::WenYu,
+            solids_fraction,
+            perturbation,
+            seed: 1,
+            parallel: false,
+        }
+    }
+
+    fn uniform_stays<const D: usize>(cells: [usize; D]) {
+        let u_t = Scales::new(&POWDER, &GAS, 9.81).terminal_velocity;
+        for (phi, expected) in [(0.05, 0.8462), (0.15, 0.5847), (0.30, 0.3005)] {
+            let grid = Grid::new(cells.map(|n| 1.25e-3 * n as f64), cells);
+            let mut flow = TwoFluid::<f64, D>::new(grid, setup(phi, 0.0));
+            for _ in 0..300 {
+                flow.step(1.0).unwrap();
+            }
+            let slip = flow.means().slip;
+            let weight = phi * (1.0 - phi) * (POWDER.density - GAS.density) * 9.81;
+            let law = WenYu::<f64>::new(&GAS, &POWDER);
+            let drag = crate::laws::drag::DragLaw::beta(&law, phi, slip) * slip;
+            assert!((drag / weight - 1.0).abs() < 1e-8, "{phi}: {}", drag / weight - 1.0);
+            assert!((slip / u_t - expected).abs() < 5e-5);
+            let spread = flow.phi.max() - flow.phi.min();
+            assert!(spread < 1e-12, "{spread}");
+        }
+    }
+
+    #[test]
+    fn uniform_state_stays_uniform_at_the_published_slip() {
+        uniform_stays([16, 16]);
+        uniform_stays([8, 8, 16]);
+    }
+}

@@ -1,0 +1,267 @@
+//! Forces on both phases and their exchange of momentum, implicit on each face; the correction by
+//! the pressure.
+
+use super::{GHOST, Medium};
+use crate::field::{Faces, Field};
+use crate::real::Real;
+use crate::rows::{Rows, simd};
+
+/// What a face's equations of motion need besides velocities and pressures.
+#[derive(Clone, Copy)]
+pub(super) struct Inertia<R> {
+    /// ρ_s / dt.
+    solids: R,
+    /// ρ_g / dt.
+    gas: R,
+}
+
+/// Mobilities of a face: how the two momentum balances
+/// a_s u_s' = f_s + β (u_g' - u_s'), a_g u_g' = f_g - β (u_g' - u_s') answer to their forces.
+#[derive(Clone, Copy)]
+struct Mobility<R> {
+    solids_inertia: R,
+    gas_inertia: R,
+    beta: R,
+    inverse: R,
+    phi: R,
+}
+
+impl<R: Real> Inertia<R> {
+    pub(super) fn new(medium: &Medium<R>, dt: R) -> Self {
+        Self { solids: medium.solids_density / dt, gas: medium.gas_density / dt }
+    }
+
+    /// At a face between cells of fractions `phi` and drag per fraction `drag`.
+    #[inline(always)]
+    fn mobility(&self, phi: [R; 2], drag: [R; 2]) -> Mobility<R> {
+        let half = R::of(0.5);
+        let face = half * (phi[0] + phi[1]);
+        let beta = half * (phi[0] * drag[0] + phi[1] * drag[1]);
+        let a_s = self.solids * (face + R::of(GHOST));
+        let a_g = self.gas * (R::ONE - face);
+        let inverse = R::ONE / (a_s * a_g + beta * (a_s + a_g));
+        Mobility { solids_inertia: a_s, gas_inertia: a_g, beta, inverse, phi: face }
+    }
+}
+
+impl<R: Real> Mobility<R> {
+    /// Velocities (u_s', u_g') under forces per volume that include a_k u_k.
+    #[inline(always)]
+    fn velocities(&self, solids: R, gas: R) -> (R, R) {
+        let total = self.beta * (solids + gas);
+        (
+            (self.gas_inertia * solids + total) * self.inverse,
+            (self.solids_inertia * gas + total) * self.inverse,
+        )
+    }
+
+    /// Loss of (u_s, u_g) per pressure gradient, which pushes each phase by its fraction.
+    #[inline(always)]
+    fn response(&self) -> (R, R) {
+        let (solids, gas) = (self.phi, R::ONE - self.phi);
+        (
+            (self.gas_inertia * solids + self.beta) * self.inverse,
+            (self.solids_inertia * gas + self.beta) * self.inverse,
+        )
+    }
+
+    /// φ u_s + (1-φ) u_g.
+    #[inline(always)]
+    fn total(&self, (solids, gas): (R, R)) -> R {
+        self.phi * solids + (R::ONE - self.phi) * gas
+    }
+}
+
+/// Velocities along `axis` under the old gas pressure, the solids pressure, weight, the mean
+/// pressure gradient that balances it, and drag; in place. Leaves the total volume flux and its
+/// response to the pressure.
+///
+/// `buoyancy` is g (ρ_mean - ρ_k) for solids and gas along this axis: weight and mean pressure
+/// gradient together.
+#[allow(clippy::too_many_arguments)]
+pub(super) fn predict<R: Real, const D: usize>(
+    rows: &Rows<D>,
+    axis: usize,
+    outputs: [&mut Field<R, D>; 4],
+    phi: &Field<R, D>,
+    drag: &Field<R, D>,
+    solids_pressure: &Field<R, D>,
+    gas_pressure: &Field<R, D>,
+    inertia: Inertia<R>,
+    buoyancy: [R; 2],
+    inverse_spacing: R,
+) {
+    let s = rows.stride(axis);
+    rows.each(outputs, |o, [us, ug, flux, response]| {
+        predict_row(
+            us,
+            ug,
+            flux,
+            response,
+            [phi.row(o - s), phi.row(o)],
+            [drag.row(o - s), drag.row(o)],
+            [solids_pressure.row(o - s), solids_pressure.row(o)],
+            [gas_pressure.row(o - s), gas_pressure.row(o)],
+            inertia,
+            buoyancy,
+            inverse_spacing,
+        );
+    });
+}
+
+simd! {
+    fn predict_row[R: Real](
+        us: &mut [R],
+        ug: &mut [R],
+        flux: &mut [R],
+        response: &mut [R],
+        phi: [&[R]; 2],
+        drag: [&[R]; 2],
+        solids_pressure: [&[R]; 2],
+        gas_pressure: [&[R]; 2],
+        inertia: Inertia<R>,
+        buoyancy: [R; 2],
+        inverse_spacing: R,
+    ) {
+        let n = us.len();
+        let (ug, flux, response) = (&mut ug[..n], &mut flux[..n], &mut response[..n]);
+        let (phi, drag) = (phi.map(|q| &q[..n]), drag.map(|q| &q[..n]));
+        let solids_pressure = solids_pressure.map(|q| &q[..n]);
+        let gas_pressure = gas_pressure.map(|q| &q[..n]);
+        for i in 0..n {
+            let face = inertia.mobility(phi.map(|q| q[i]), drag.map(|q| q[i]));
+            let gradient = inverse_spacing * (gas_pressure[1][i] - gas_pressure[0][i]);
+            let collisions = inverse_spacing * (solids_pressure[1][i] - solids_pressure[0][i]);
+            let solids = face.solids_inertia * us[i] - collisions
+                + face.phi * (buoyancy[0] - gradient);
+            let gas = face.gas_inertia * ug[i]
+                + (R::ONE - face.phi) * (buoyancy[1] - gradient);
+            let velocities = face.velocities(solids, gas);
+            (us[i], ug[i]) = velocities;
+            flux[i] = face.total(velocities);
+            response[i] = face.total(face.response());
+        }
+    }
+}
+
+/// Takes the response to the pressure increment off the velocities along `axis`.
+#[allow(clippy::too_many_arguments)]
+pub(super) fn correct<R: Real, const D: usize>(
+    rows: &Rows<D>,
+    axis: usize,
+    velocities: [&mut Field<R, D>; 2],
+    phi: &Field<R, D>,
+    drag: &Field<R, D>,
+    increment: &Field<R, D>,
+    inertia: Inertia<R>,
+    inverse_spacing: R,
+) {
+    let s = rows.stride(axis);
+    rows.each(velocities, |o, [us, ug]| {
+        correct_row(
+            us,
+            ug,
+            [phi.row(o - s), phi.row(o)],
+            [drag.row(o - s), drag.row(o)],
+            [increment.row(o - s), increment.row(o)],
+            inertia,
+            inverse_spacing,
+        );
+    });
+}
+
+simd! {
+    fn correct_row[R: Real](
+        us: &mut [R],
+        ug: &mut [R],
+        phi: [&[R]; 2],
+        drag: [&[R]; 2],
+        increment: [&[R]; 2],
+        inertia: Inertia<R>,
+        inverse_spacing: R,
+    ) {
+        let n = us.len();
+        let (ug, phi, drag) = (&mut ug[..n], phi.map(|q| &q[..n]), drag.map(|q| &q[..n]));
+        let increment = increment.map(|q| &q[..n]);
+        for i in 0..n {
+            let face = inertia.mobility(phi.map(|q| q[i]), drag.map(|q| q[i]));
+            let gradient = inverse_spacing * (increment[1][i] - increment[0][i]);
+            let (solids, gas) = face.response();
+            us[i] -= solids * gradient;
+            ug[i] -= gas * gradient;
+        }
+    }
+}
+
+/// -∇·`flux`, the right-hand side of the pressure equation.
+pub(super) fn convergence<R: Real, const D: usize>(
+    rows: &Rows<D>,
+    out: &mut Field<R, D>,
+    flux: &Faces<R, D>,
+    inverse_spacing: [R; D],
+) {
+    rows.each([out], |o, [out]| {
+        let flux = std::array::from_fn(|a| [flux[a].row(o), flux[a].row(o + rows.stride(a))]);
+        convergence_row(out, flux, inverse_spacing);
+    });
+}
+
+simd! {
+    fn convergence_row[R: Real, const D: usize](
+        out: &mut [R],
+        flux: [[&[R]; 2]; D],
+        inverse_spacing: [R; D],
+    ) {
+        let n = out.len();
+        let flux = flux.map(|f| f.map(|f| &f[..n]));
+        for i in 0..n {
+            let mut sum = R::ZERO;
+            for a in 0..D {
+                sum += inverse_spacing[a] * (flux[a][0][i] - flux[a][1][i]);
+            }
+            out[i] = sum;
+        }
+    }
+}
+
+simd! {
+    /// x += y.
+    pub(super) fn add_row[R: Real](x: &mut [R], y: &[R]) {
+        let y = &y[..x.len()];
+        for (x, y) in x.iter_mut().zip(y) {
+            *x += *y;
+        }
+    }
+}
+
+simd! {
+    /// Largest Σ_a |u_a| / h_a of the cells of a row, each |u_a| the larger of its two faces [1/s].
+    pub(super) fn courant_row[R: Real, const D: usize](
+        u: [[&[R]; 2]; D],
+        inverse_spacing: [R; D],
+    ) -> R {
+        const LANES: usize = 16;
+        let n = u[0][0].len();
+        let u = u.map(|u| u.map(|u| &u[..n]));
+        let mut largest = [R::ZERO; LANES];
+        let cell = |i: usize| {
+            let mut sum = R::ZERO;
+            for a in 0..D {
+                sum += inverse_spacing[a] * u[a][0][i].abs().max(u[a][1][i].abs());
+            }
+            sum
+        };
+        let whole = n - n % LANES;
+        let mut at = 0;
+        while at < whole {
+            for lane in 0..LANES {
+                largest[lane] = largest[lane].max(cell(at + lane));
+            }
+            at += LANES;
+        }
+        for i in whole..n {
+            largest[0] = largest[0].max(cell(i));
+        }
+        largest.into_iter().fold(R::ZERO, R::max)
+    }
+}

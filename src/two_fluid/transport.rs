@@ -1,0 +1,227 @@
+//! Transport by the volume fluxes: solids fraction, granular temperature, momentum of both phases.
+//!
+//! All of it is conservative and moves with the same fluxes, so that a uniform velocity or
+//! temperature stays uniform whatever the solids do, and a nearly empty cell takes a weighted mean
+//! of what flows in.
+
+use super::GHOST;
+use crate::field::{Faces, Field};
+use crate::real::Real;
+use crate::rows::{Rows, simd};
+use crate::stencil::upwind;
+
+/// Volume fluxes through the faces [m/s]: of solids, of gas, and of solids times temperature.
+#[derive(Clone, Debug)]
+pub(super) struct Fluxes<R, const D: usize> {
+    pub(super) solids: Faces<R, D>,
+    pub(super) gas: Faces<R, D>,
+    pub(super) heat: Faces<R, D>,
+}
+
+/// Four neighbours in a line across a face: two on either side.
+#[derive(Clone, Copy)]
+struct Line<'a, R>([&'a [R]; 4]);
+
+impl<'a, R: Real> Line<'a, R> {
+    fn at<const D: usize>(field: &'a Field<R, D>, o: usize, s: usize) -> Self {
+        Self([field.row(o - 2 * s), field.row(o - s), field.row(o), field.row(o + s)])
+    }
+
+    #[inline(always)]
+    fn cut(self, n: usize) -> Self {
+        Self(self.0.map(|row| &row[..n]))
+    }
+
+    #[inline(always)]
+    fn upwind(&self, through: R, i: usize) -> R {
+        upwind(through, self.0[0][i], self.0[1][i], self.0[2][i], self.0[3][i])
+    }
+}
+
+impl<R: Real, const D: usize> Fluxes<R, D> {
+    /// Fluxes of `phi` and `theta` with the velocities; the gas takes what the solids leave of the
+    /// total, which the pressure has made free of divergence.
+    pub(super) fn set(
+        &mut self,
+        rows: &Rows<D>,
+        phi: &Field<R, D>,
+        theta: &Field<R, D>,
+        solids: &Faces<R, D>,
+        gas: &Faces<R, D>,
+    ) {
+        for axis in 0..D {
+            let s = rows.stride(axis);
+            rows.each(
+                [&mut self.solids[axis], &mut self.gas[axis], &mut self.heat[axis]],
+                |o, [fs, fg, ft]| {
+                    let (phi, theta) = (Line::at(phi, o, s), Line::at(theta, o, s));
+                    flux_row(fs, fg, ft, phi, theta, solids[axis].row(o), gas[axis].row(o));
+                },
+            );
+        }
+    }
+}
+
+simd! {
+    fn flux_row[R: Real](
+        fs: &mut [R],
+        fg: &mut [R],
+        ft: &mut [R],
+        phi: Line<'_, R>,
+        theta: Line<'_, R>,
+        us: &[R],
+        ug: &[R],
+    ) {
+        let n = fs.len();
+        let (phi, theta) = (phi.cut(n), theta.cut(n));
+        let (fg, ft, us, ug) = (&mut fg[..n], &mut ft[..n], &us[..n], &ug[..n]);
+        for i in 0..n {
+            let face = R::of(0.5) * (phi.0[1][i] + phi.0[2][i]);
+            let total = face * us[i] + (R::ONE - face) * ug[i];
+            let solids = us[i] * phi.upwind(us[i], i);
+            fs[i] = solids;
+            fg[i] = total - solids;
+            ft[i] = solids * theta.upwind(us[i], i);
+        }
+    }
+}
+
+/// φ and T after `dt` from the fluxes: φ' = φ - dt ∇·F, φ' T' = φ T - dt ∇·(F T).
+pub(super) fn advect<R: Real, const D: usize>(
+    rows: &Rows<D>,
+    [phi_new, theta_new]: [&mut Field<R, D>; 2],
+    phi: &Field<R, D>,
+    theta: &Field<R, D>,
+    fluxes: &Fluxes<R, D>,
+    courant: [R; D],
+) {
+    rows.each([phi_new, theta_new], |o, [phi_new, theta_new]| {
+        let fs: [[&[R]; 2]; D] = std::array::from_fn(|a| {
+            [fluxes.solids[a].row(o), fluxes.solids[a].row(o + rows.stride(a))]
+        });
+        let ft: [[&[R]; 2]; D] = std::array::from_fn(|a| {
+            [fluxes.heat[a].row(o), fluxes.heat[a].row(o + rows.stride(a))]
+        });
+        advect_row(phi_new, theta_new, phi.row(o), theta.row(o), fs, ft, courant);
+    });
+}
+
+simd! {
+    fn advect_row[R: Real, const D: usize](
+        phi_new: &mut [R],
+        theta_new: &mut [R],
+        phi: &[R],
+        theta: &[R],
+        fs: [[&[R]; 2]; D],
+        ft: [[&[R]; 2]; D],
+        courant: [R; D],
+    ) {
+        let n = phi_new.len();
+        let (theta_new, phi, theta) = (&mut theta_new[..n], &phi[..n], &theta[..n]);
+        let (fs, ft) = (fs.map(|f| f.map(|f| &f[..n])), ft.map(|f| f.map(|f| &f[..n])));
+        let ghost = R::of(GHOST);
+        for i in 0..n {
+            let mut solids = phi[i];
+            let mut heat = (phi[i] + ghost) * theta[i];
+            for a in 0..D {
+                solids -= courant[a] * (fs[a][1][i] - fs[a][0][i]);
+                heat -= courant[a] * (ft[a][1][i] - ft[a][0][i]);
+            }
+            phi_new[i] = solids;
+            theta_new[i] = heat / (solids + ghost);
+        }
+    }
+}
+
+/// A phase's share of a face as a linear function of the solids fraction there before and after
+/// the step: `constant + before φ + after φ'`.
+#[derive(Clone, Copy)]
+pub(super) struct Share<R> {
+    pub(super) constant: R,
+    pub(super) before: R,
+    pub(super) after: R,
+}
+
+impl<R: Real> Share<R> {
+    /// The solids' share, ghost mass included, before and after the step.
+    pub(super) fn solids() -> [Self; 2] {
+        let constant = R::of(GHOST);
+        [
+            Self { constant, before: R::ONE, after: R::ZERO },
+            Self { constant, before: R::ZERO, after: R::ONE },
+        ]
+    }
+
+    /// The gas's share a part `t` through the step.
+    pub(super) fn gas(t: f64) -> Self {
+        Self { constant: R::ONE, before: R::of(t - 1.0), after: R::of(-t) }
+    }
+}
+
+/// Momentum along `axis` of one phase carried by its `flux`: the share of a face times its
+/// velocity is conserved; `courant` is dt/h along each axis.
+#[allow(clippy::too_many_arguments)]
+pub(super) fn advect_momentum<R: Real, const D: usize>(
+    rows: &Rows<D>,
+    axis: usize,
+    new: &mut Field<R, D>,
+    velocity: &Field<R, D>,
+    flux: &Faces<R, D>,
+    [phi, phi_new]: [&Field<R, D>; 2],
+    shares: [Share<R>; 2],
+    courant: [R; D],
+) {
+    let s = rows.stride(axis);
+    rows.each([new], |o, [new]| {
+        let lines = std::array::from_fn(|b| {
+            let sb = rows.stride(b);
+            [
+                velocity.row(o - 2 * sb),
+                velocity.row(o - sb),
+                velocity.row(o + sb),
+                velocity.row(o + 2 * sb),
+            ]
+        });
+        let through = std::array::from_fn(|b| {
+            let sb = rows.stride(b);
+            let flux = &flux[b];
+            [flux.row(o - s), flux.row(o), flux.row(o - s + sb), flux.row(o + sb)]
+        });
+        let fractions = [phi.row(o - s), phi.row(o), phi_new.row(o - s), phi_new.row(o)];
+        momentum_row(new, velocity.row(o), lines, through, fractions, shares, courant);
+    });
+}
+
+simd! {
+    fn momentum_row[R: Real, const D: usize](
+        new: &mut [R],
+        u: &[R],
+        lines: [[&[R]; 4]; D],
+        through: [[&[R]; 4]; D],
+        fractions: [&[R]; 4],
+        shares: [Share<R>; 2],
+        courant: [R; D],
+    ) {
+        let n = new.len();
+        let u = &u[..n];
+        let lines = lines.map(|l| l.map(|l| &l[..n]));
+        let through = through.map(|f| f.map(|f| &f[..n]));
+        let fractions = fractions.map(|f| &f[..n]);
+        let half = R::of(0.5);
+        for i in 0..n {
+            let before = half * (fractions[0][i] + fractions[1][i]);
+            let after = half * (fractions[2][i] + fractions[3][i]);
+            let share = shares.map(|s| s.constant + s.before * before + s.after * after);
+            let mut momentum = share[0] * u[i];
+            for b in 0..D {
+                let [m2, m1, p1, p2] = lines[b].map(|l| l[i]);
+                let lower = half * (through[b][0][i] + through[b][1][i]);
+                let upper = half * (through[b][2][i] + through[b][3][i]);
+                momentum -= courant[b]
+                    * (upper * upwind(upper, m1, u[i], p1, p2)
+                        - lower * upwind(lower, m2, m1, u[i], p1));
+            }
+            new[i] = momentum / share[1];
+        }
+    }
+}
