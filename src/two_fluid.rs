@@ -68,7 +68,7 @@ const FIRST_STEP: f64 = 1e-3;
 const LONGEST_STEP: f64 = 0.05;
 
 /// Remaining divergence of the total volume flux, times dt, that ends the pressure iteration.
-const TOLERANCE: f64 = 1e-4;
+const TOLERANCE: f64 = 1e-3;
 
 /// Most pressure iterations in a step.
 const MOST_ITERATIONS: usize = 60;

@@ -1,0 +1,60 @@
+//! A step allocates nothing.
+
+use favre::case::DragChoice;
+use favre::grid::Grid;
+use favre::laws::scales::{Gas, Powder};
+use favre::two_fluid::{Setup, TwoFluid};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+struct Counting;
+
+static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: forwards to the system's allocator.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: as the caller promises.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        // SAFETY: as the caller promises.
+        unsafe { System.dealloc(memory, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn allocations_of_steps<const D: usize>(cells: [usize; D]) -> usize {
+    let setup = Setup {
+        powder: Powder { diameter: 75e-6, density: 1500.0, restitution: 0.9, max_packing: 0.65 },
+        gas: Gas { density: 1.3, viscosity: 1.8e-5 },
+        gravity: 9.81,
+        drag: DragChoice::WenYu,
+        solids_fraction: 0.15,
+        perturbation: 0.1,
+        seed: 3,
+        parallel: false,
+    };
+    let grid = Grid::new(cells.map(|n| 1.25e-3 * n as f64), cells);
+    let mut flow = TwoFluid::<f64, D>::new(grid, setup);
+    flow.step(1.0).unwrap();
+    let before = ALLOCATIONS.load(Ordering::Relaxed);
+    for _ in 0..50 {
+        flow.step(1.0).unwrap();
+    }
+    ALLOCATIONS.load(Ordering::Relaxed) - before
+}
+
+#[test]
+fn a_step_allocates_nothing() {
+    // One test, so that no other thread of the harness allocates meanwhile.
+    assert_eq!(allocations_of_steps([32, 32]), 0, "2-D");
+    assert_eq!(allocations_of_steps([8, 8, 16]), 0, "3-D");
+    // The count works: building a solver allocates.
+    let before = ALLOCATIONS.load(Ordering::Relaxed);
+    let _ = std::hint::black_box(vec![0u8; 100]);
+    assert!(ALLOCATIONS.load(Ordering::Relaxed) > before);
+}
