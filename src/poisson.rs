@@ -9,7 +9,7 @@
 use crate::field::{Faces, Field, Layout};
 use crate::grid::Grid;
 use crate::real::Real;
-use crate::rows::{Rows, dot, max_abs, simd};
+use crate::rows::{Rows, by_axis, dot, max_abs, simd, sum_axes};
 
 /// Precision of the preconditioner.
 type Fast = f32;
@@ -85,9 +85,9 @@ impl<const D: usize> Level<D> {
     fn set_diagonal(&mut self) {
         let (rows, weights) = (self.rows, &self.weights);
         rows.each([&mut self.inverse_diagonal], |o, [inverse]| {
-            let lower: [&[Fast]; D] = std::array::from_fn(|a| weights[a].row(o));
-            let upper = std::array::from_fn(|a| weights[a].row(o + rows.stride(a)));
-            inverse_diagonal_row(inverse, lower, upper);
+            let weights: [[&[Fast]; 2]; D] =
+                std::array::from_fn(|a| [weights[a].row(o), weights[a].row(o + rows.stride(a))]);
+            inverse_diagonal_row(inverse, weights);
         });
     }
 
@@ -152,62 +152,39 @@ impl Chebyshev {
     }
 }
 
-/// What the five- or seven-point operator needs of a row.
+/// What the five- or seven-point operator needs of a row: the solution there, and for each axis
+/// the weights of the lower and upper faces and the solution beyond them.
 #[derive(Clone, Copy)]
 struct Stencil<'a, R, const D: usize> {
-    lower: [&'a [R]; D],
-    upper: [&'a [R]; D],
     x: &'a [R],
-    x_lower: [&'a [R]; D],
-    x_upper: [&'a [R]; D],
+    axes: [[&'a [R]; 4]; D],
 }
 
 impl<'a, R: Real, const D: usize> Stencil<'a, R, D> {
     #[inline(always)]
     fn at(weights: &'a Faces<R, D>, x: &'a Field<R, D>, o: usize, rows: &Rows<D>) -> Self {
-        Self {
-            lower: std::array::from_fn(|a| weights[a].row(o)),
-            upper: std::array::from_fn(|a| weights[a].row(o + rows.stride(a))),
-            x: x.row(o),
-            x_lower: std::array::from_fn(|a| x.row(o - rows.stride(a))),
-            x_upper: std::array::from_fn(|a| x.row(o + rows.stride(a))),
-        }
-    }
-
-    /// The same slices, of a length that the compiler knows to be `n`.
-    #[inline(always)]
-    fn cut(self, n: usize) -> Self {
-        Self {
-            lower: self.lower.map(|s| &s[..n]),
-            upper: self.upper.map(|s| &s[..n]),
-            x: &self.x[..n],
-            x_lower: self.x_lower.map(|s| &s[..n]),
-            x_upper: self.x_upper.map(|s| &s[..n]),
-        }
-    }
-
-    /// (A x)_i.
-    #[inline(always)]
-    fn apply(&self, i: usize) -> R {
-        let mut sum = R::ZERO;
-        for a in 0..D {
-            sum += self.lower[a][i] * (self.x[i] - self.x_lower[a][i])
-                + self.upper[a][i] * (self.x[i] - self.x_upper[a][i]);
-        }
-        sum
+        let axes = std::array::from_fn(|a| {
+            let (weights, s) = (&weights[a], rows.stride(a));
+            [weights.row(o), weights.row(o + s), x.row(o - s), x.row(o + s)]
+        });
+        Self { x: x.row(o), axes }
     }
 }
 
+/// (A x)_i of the slices of a [`Stencil`].
+macro_rules! operator {
+    ($d:ident, $x:expr, $axes:expr, $i:expr) => {
+        sum_axes!($d, $axes, |[lower, upper, below, above], _| lower[$i] * ($x[$i] - below[$i])
+            + upper[$i] * ($x[$i] - above[$i]))
+    };
+}
+
 simd! {
-    fn inverse_diagonal_row[const D: usize](out: &mut [Fast], lower: [&[Fast]; D], upper: [&[Fast]; D]) {
+    fn inverse_diagonal_row[const D: usize](out: &mut [Fast], weights: [[&[Fast]; 2]; D]) {
         let n = out.len();
-        let (lower, upper) = (lower.map(|s| &s[..n]), upper.map(|s| &s[..n]));
+        let weights = by_axis(weights, n);
         for i in 0..n {
-            let mut sum = 0.0;
-            for a in 0..D {
-                sum += lower[a][i] + upper[a][i];
-            }
-            out[i] = 1.0 / sum;
+            out[i] = 1.0 / sum_axes!(D, weights, |[lower, upper], _| lower[i] + upper[i]);
         }
     }
 }
@@ -223,13 +200,13 @@ simd! {
         scale: Fast,
     ) {
         let n = new.len();
-        let stencil = stencil.cut(n);
+        let (x, axes) = (&stencil.x[..n], by_axis(stencil.axes, n));
         let (step, right, inverse_diagonal) = (&mut step[..n], &right[..n], &inverse_diagonal[..n]);
         for i in 0..n {
             let change = keep * step[i]
-                + scale * inverse_diagonal[i] * (right[i] - stencil.apply(i));
+                + scale * inverse_diagonal[i] * (right[i] - operator!(D, x, axes, i));
             step[i] = change;
-            new[i] = stencil.x[i] + change;
+            new[i] = x[i] + change;
         }
     }
 }
@@ -237,10 +214,10 @@ simd! {
 simd! {
     fn residual_row[const D: usize](out: &mut [Fast], stencil: Stencil<'_, Fast, D>, right: &[Fast]) {
         let n = out.len();
-        let stencil = stencil.cut(n);
+        let (x, axes) = (&stencil.x[..n], by_axis(stencil.axes, n));
         let right = &right[..n];
         for i in 0..n {
-            out[i] = right[i] - stencil.apply(i);
+            out[i] = right[i] - operator!(D, x, axes, i);
         }
     }
 }
@@ -298,9 +275,9 @@ simd! {
 simd! {
     fn image_row[R: Real, const D: usize](image: &mut [R], stencil: Stencil<'_, R, D>) {
         let n = image.len();
-        let stencil = stencil.cut(n);
+        let (x, axes) = (&stencil.x[..n], by_axis(stencil.axes, n));
         for i in 0..n {
-            image[i] = stencil.apply(i);
+            image[i] = operator!(D, x, axes, i);
         }
     }
 }

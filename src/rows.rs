@@ -215,6 +215,49 @@ impl<const D: usize> Rows<D> {
     }
 }
 
+/// The slices of each axis, all cut to `n`, as three whose third is idle in two dimensions.
+///
+/// A kernel that indexes slices by a loop over axes keeps a bounds check per slice and loses its
+/// vectorised tail; one that takes them apart into names, and asks `D == 3`, does not.
+#[inline(always)]
+pub(crate) fn by_axis<R, const D: usize, const K: usize>(
+    slices: [[&[R]; K]; D],
+    n: usize,
+) -> [[&[R]; K]; 3] {
+    let [mut x, mut y, mut z] = [[&[] as &[R]; K]; 3];
+    for k in 0..K {
+        x[k] = &slices[0][k][..n];
+        y[k] = &slices[1][k][..n];
+        z[k] = &slices[D - 1][k][..n];
+    }
+    [x, y, z]
+}
+
+/// Σ over the axes of an expression of an axis's slices, which [`by_axis`] has prepared:
+/// `sum_axes!(D, slices, |[lower, upper], axis| upper[i] - lower[i])`. A macro, because a closure
+/// used three times is not inlined, and a kernel that calls is not vectorised.
+macro_rules! sum_axes {
+    ($d:ident, $slices:expr, |$pattern:pat_param, $axis:pat_param| $term:expr) => {{
+        let [x, y, z] = &$slices;
+        let plane = {
+            let ($pattern, $axis) = (x, 0);
+            $term
+        } + {
+            let ($pattern, $axis) = (y, 1);
+            $term
+        };
+        if $d == 3 {
+            plane + {
+                let ($pattern, $axis) = (z, 2);
+                $term
+            }
+        } else {
+            plane
+        }
+    }};
+}
+pub(crate) use sum_axes;
+
 /// Lanes of a sum: as many partial sums as fill two of the widest vectors.
 const LANES: usize = 16;
 

@@ -4,7 +4,7 @@
 use super::{GHOST, Medium};
 use crate::field::{Faces, Field};
 use crate::real::Real;
-use crate::rows::{Rows, simd};
+use crate::rows::{Rows, by_axis, simd, sum_axes};
 
 /// What a face's equations of motion need besides velocities and pressures.
 #[derive(Clone, Copy)]
@@ -213,13 +213,11 @@ simd! {
         inverse_spacing: [R; D],
     ) {
         let n = out.len();
-        let flux = flux.map(|f| f.map(|f| &f[..n]));
+        let flux = by_axis(flux, n);
         for i in 0..n {
-            let mut sum = R::ZERO;
-            for a in 0..D {
-                sum += inverse_spacing[a] * (flux[a][0][i] - flux[a][1][i]);
-            }
-            out[i] = sum;
+            out[i] = sum_axes!(D, flux, |[lower, upper], a| {
+                inverse_spacing[a] * (lower[i] - upper[i])
+            });
         }
     }
 }
@@ -242,14 +240,12 @@ simd! {
     ) -> R {
         const LANES: usize = 16;
         let n = u[0][0].len();
-        let u = u.map(|u| u.map(|u| &u[..n]));
+        let u = by_axis(u, n);
         let mut largest = [R::ZERO; LANES];
         let cell = |i: usize| {
-            let mut sum = R::ZERO;
-            for a in 0..D {
-                sum += inverse_spacing[a] * u[a][0][i].abs().max(u[a][1][i].abs());
-            }
-            sum
+            sum_axes!(D, u, |[lower, upper], a| {
+                inverse_spacing[a] * lower[i].abs().max(upper[i].abs())
+            })
         };
         let whole = n - n % LANES;
         let mut at = 0;

@@ -6,7 +6,7 @@ use crate::field::{Faces, Field};
 use crate::laws::drag::DragLaw;
 use crate::laws::kinetic_theory::balance_temperature;
 use crate::real::Real;
-use crate::rows::{Rows, simd};
+use crate::rows::{Rows, by_axis, simd, sum_axes};
 
 /// A drag law, a row at a time: the choice of law costs one call per row.
 pub(super) trait DragRow<R>: Send + Sync {
@@ -114,14 +114,12 @@ simd! {
     /// |u_g - u_s|² from the means of the faces' velocities.
     fn slip_row[R: Real, const D: usize](slip_squared: &mut [R], velocities: [[&[R]; 4]; D]) {
         let n = slip_squared.len();
-        let velocities = velocities.map(|v| v.map(|v| &v[..n]));
+        let velocities = by_axis(velocities, n);
         for i in 0..n {
-            let mut sum = R::ZERO;
-            for v in velocities {
-                let slip = R::of(0.5) * ((v[2][i] + v[3][i]) - (v[0][i] + v[1][i]));
-                sum += slip * slip;
-            }
-            slip_squared[i] = sum;
+            slip_squared[i] = sum_axes!(D, velocities, |[s0, s1, g0, g1], _| {
+                let slip = R::of(0.5) * ((g0[i] + g1[i]) - (s0[i] + s1[i]));
+                slip * slip
+            });
         }
     }
 }
@@ -274,13 +272,12 @@ simd! {
         let n = theta_new.len();
         let (pressure, phi, theta) = (&mut pressure[..n], &phi[..n], &theta[..n]);
         let (g0, drag, slip_squared) = (&g0[..n], &drag[..n], &slip_squared[..n]);
-        let u = u.map(|u| u.map(|u| &u[..n]));
+        let u = by_axis(u, n);
         let theory = medium.theory;
         for i in 0..n {
-            let mut divergence = R::ZERO;
-            for a in 0..D {
-                divergence += inverse_spacing[a] * (u[a][1][i] - u[a][0][i]);
-            }
+            let divergence = sum_axes!(D, u, |[lower, upper], a| {
+                inverse_spacing[a] * (upper[i] - lower[i])
+            });
             // -P_s ∇·u: a sink where the solids expand, implicit; a source where they contract.
             let work = theory.compressibility(phi[i], g0[i]) * divergence;
             let heating = theta_new[i] + theta[i] * (-work).max(R::ZERO);

@@ -7,7 +7,7 @@
 use super::GHOST;
 use crate::field::{Faces, Field};
 use crate::real::Real;
-use crate::rows::{Rows, simd};
+use crate::rows::{Rows, by_axis, simd, sum_axes};
 
 /// Stress τ, tension positive [Pa], and what it heats.
 #[derive(Clone, Debug)]
@@ -155,15 +155,14 @@ simd! {
         inverse_spacing: [R; D],
     ) {
         let n = normal.len();
-        let u = u.map(|u| u.map(|u| &u[..n]));
-        let along = u[axis];
+        let [below, above] = u[axis].map(|u| &u[..n]);
+        let u = by_axis(u, n);
         let (viscosity, bulk) = (&viscosity[..n], &bulk[..n]);
         for i in 0..n {
-            let mut divergence = R::ZERO;
-            for a in 0..D {
-                divergence += inverse_spacing[a] * (u[a][1][i] - u[a][0][i]);
-            }
-            let strain = inverse_spacing[axis] * (along[1][i] - along[0][i]);
+            let divergence = sum_axes!(D, u, |[lower, upper], a| {
+                inverse_spacing[a] * (upper[i] - lower[i])
+            });
+            let strain = inverse_spacing[axis] * (above[i] - below[i]);
             normal[i] = R::of(2.0) * viscosity[i] * (strain - R::of(1.0 / 3.0) * divergence)
                 + bulk[i] * divergence;
         }
@@ -196,12 +195,11 @@ simd! {
     ) {
         let n = new.len();
         let (velocity, phi) = (&velocity[..n], phi.map(|p| &p[..n]));
-        let stress = stress.map(|t| t.map(|t| &t[..n]));
+        let stress = by_axis(stress, n);
         for i in 0..n {
-            let mut force = R::ZERO;
-            for b in 0..D {
-                force += inverse_spacing[b] * (stress[b][1][i] - stress[b][0][i]);
-            }
+            let force = sum_axes!(D, stress, |[lower, upper], b| {
+                inverse_spacing[b] * (upper[i] - lower[i])
+            });
             let share = R::of(0.5) * (phi[0][i] + phi[1][i]) + R::of(GHOST);
             new[i] = velocity[i] + impulse * force / share;
         }
@@ -217,14 +215,14 @@ simd! {
         inverse: [R; 2],
     ) {
         let n = heating.len();
-        let (shear, u, phi) =
-            (&shear[..n], u.map(|u| u.map(|u| &u[..n])), phi.map(|p| &p[..n]));
+        let [before, after] = u;
+        let (before, after) = (before.map(|u| &u[..n]), after.map(|u| &u[..n]));
+        let (shear, phi) = (&shear[..n], phi.map(|p| &p[..n]));
         for i in 0..n {
-            let mut strain = R::ZERO;
-            for u in u {
-                strain +=
-                    inverse[1] * (u[0][i] - u[1][i]) + inverse[0] * (u[2][i] - u[3][i]);
-            }
+            let strain = |u: &[&[R]; 4]| {
+                inverse[1] * (u[0][i] - u[1][i]) + inverse[0] * (u[2][i] - u[3][i])
+            };
+            let strain = strain(&before) + strain(&after);
             let solids = phi[0][i] + phi[1][i] + phi[2][i] + phi[3][i] + R::of(4.0 * GHOST);
             heating[i] = R::of(0.5) * shear[i] * strain / solids;
         }

@@ -7,7 +7,7 @@
 use super::GHOST;
 use crate::field::{Faces, Field};
 use crate::real::Real;
-use crate::rows::{Rows, simd};
+use crate::rows::{Rows, by_axis, simd, sum_axes};
 use crate::stencil::upwind;
 
 /// Volume fluxes through the faces [m/s]: of solids, of gas, and of solids times temperature.
@@ -118,15 +118,12 @@ simd! {
     ) {
         let n = phi_new.len();
         let (theta_new, phi, theta) = (&mut theta_new[..n], &phi[..n], &theta[..n]);
-        let (fs, ft) = (fs.map(|f| f.map(|f| &f[..n])), ft.map(|f| f.map(|f| &f[..n])));
+        let (fs, ft) = (by_axis(fs, n), by_axis(ft, n));
         let ghost = R::of(GHOST);
         for i in 0..n {
-            let mut solids = phi[i];
-            let mut heat = (phi[i] + ghost) * theta[i];
-            for a in 0..D {
-                solids -= courant[a] * (fs[a][1][i] - fs[a][0][i]);
-                heat -= courant[a] * (ft[a][1][i] - ft[a][0][i]);
-            }
+            let solids = sum_axes!(D, fs, |[lower, upper], a| courant[a] * (upper[i] - lower[i]));
+            let heat = sum_axes!(D, ft, |[lower, upper], a| courant[a] * (upper[i] - lower[i]));
+            let (solids, heat) = (phi[i] - solids, (phi[i] + ghost) * theta[i] - heat);
             phi_new[i] = solids;
             theta_new[i] = heat / (solids + ghost);
         }
@@ -173,22 +170,23 @@ pub(super) fn advect_momentum<R: Real, const D: usize>(
 ) {
     let s = rows.stride(axis);
     rows.each([new], |o, [new]| {
-        let lines = std::array::from_fn(|b| {
-            let sb = rows.stride(b);
+        // Two neighbours on either side, then the pairs of fluxes whose means cross the lower and
+        // the upper face of the velocity's own cell.
+        let axes = std::array::from_fn(|b| {
+            let (sb, flux) = (rows.stride(b), &flux[b]);
             [
                 velocity.row(o - 2 * sb),
                 velocity.row(o - sb),
                 velocity.row(o + sb),
                 velocity.row(o + 2 * sb),
+                flux.row(o - s),
+                flux.row(o),
+                flux.row(o - s + sb),
+                flux.row(o + sb),
             ]
         });
-        let through = std::array::from_fn(|b| {
-            let sb = rows.stride(b);
-            let flux = &flux[b];
-            [flux.row(o - s), flux.row(o), flux.row(o - s + sb), flux.row(o + sb)]
-        });
         let fractions = [phi.row(o - s), phi.row(o), phi_new.row(o - s), phi_new.row(o)];
-        momentum_row(new, velocity.row(o), lines, through, fractions, shares, courant);
+        momentum_row(new, velocity.row(o), axes, fractions, shares, courant);
     });
 }
 
@@ -196,31 +194,28 @@ simd! {
     fn momentum_row[R: Real, const D: usize](
         new: &mut [R],
         u: &[R],
-        lines: [[&[R]; 4]; D],
-        through: [[&[R]; 4]; D],
+        axes: [[&[R]; 8]; D],
         fractions: [&[R]; 4],
         shares: [Share<R>; 2],
         courant: [R; D],
     ) {
         let n = new.len();
         let u = &u[..n];
-        let lines = lines.map(|l| l.map(|l| &l[..n]));
-        let through = through.map(|f| f.map(|f| &f[..n]));
-        let fractions = fractions.map(|f| &f[..n]);
+        let axes = by_axis(axes, n);
+        let [below, here, below_new, here_new] = fractions.map(|f| &f[..n]);
         let half = R::of(0.5);
         for i in 0..n {
-            let before = half * (fractions[0][i] + fractions[1][i]);
-            let after = half * (fractions[2][i] + fractions[3][i]);
+            let before = half * (below[i] + here[i]);
+            let after = half * (below_new[i] + here_new[i]);
             let share = shares.map(|s| s.constant + s.before * before + s.after * after);
-            let mut momentum = share[0] * u[i];
-            for b in 0..D {
-                let [m2, m1, p1, p2] = lines[b].map(|l| l[i]);
-                let lower = half * (through[b][0][i] + through[b][1][i]);
-                let upper = half * (through[b][2][i] + through[b][3][i]);
-                momentum -= courant[b]
-                    * (upper * upwind(upper, m1, u[i], p1, p2)
-                        - lower * upwind(lower, m2, m1, u[i], p1));
-            }
+            let outflow = sum_axes!(D, axes, |[m2, m1, p1, p2, f0, f1, f2, f3], b| {
+                let lower = half * (f0[i] + f1[i]);
+                let upper = half * (f2[i] + f3[i]);
+                courant[b]
+                    * (upper * upwind(upper, m1[i], u[i], p1[i], p2[i])
+                        - lower * upwind(lower, m2[i], m1[i], u[i], p1[i]))
+            });
+            let momentum = share[0] * u[i] - outflow;
             new[i] = momentum / share[1];
         }
     }
