@@ -1,5 +1,6 @@
 //! Favre.
 #![deny(missing_docs)]
+pub mod blocking;
 pub mod case;
 pub mod filter;
 pub mod filtered;
@@ -8,4 +9,5 @@ pub mod grid;
 pub mod laws;
 pub mod moments;
 pub mod real;
+pub mod statistics;
 pub mod table;
