@@ -8,6 +8,8 @@
 //! settles when they are not (Flyvbjerg & Petersen 1989). The largest error over all levels is
 //! taken: it errs on the wide side when no plateau is in sight.
 
+use std::collections::BTreeMap;
+
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// Fewest lumps from which an error is estimated; below, the error is infinite.
@@ -39,22 +41,24 @@ pub struct Estimate {
     pub lumps: usize,
 }
 
-/// Student's t quantiles for two-sided 95 % intervals, looked up by degrees of freedom: computing
-/// one takes longer than the rest of an estimate.
+/// Student's t quantiles for two-sided 95 % intervals, kept by degrees of freedom: computing one
+/// takes longer than the rest of an estimate.
 #[derive(Clone, Debug, Default)]
 pub struct Quantiles {
-    known: Vec<f64>,
+    known: BTreeMap<usize, f64>,
 }
 
 impl Quantiles {
-    /// The 97.5 % quantile of Student's t with `freedom` > 0 degrees of freedom.
+    /// The 97.5 % quantile of Student's t with `freedom` degrees of freedom.
+    ///
+    /// # Panics
+    /// If `freedom` is 0.
     pub fn get(&mut self, freedom: usize) -> f64 {
-        while self.known.len() < freedom {
-            let freedom = (self.known.len() + 1) as f64;
-            let student = StudentsT::new(0.0, 1.0, freedom).expect("positive degrees of freedom");
-            self.known.push(student.inverse_cdf(0.975));
-        }
-        self.known[freedom - 1]
+        *self.known.entry(freedom).or_insert_with(|| {
+            StudentsT::new(0.0, 1.0, freedom as f64)
+                .expect("degrees of freedom are positive")
+                .inverse_cdf(0.975)
+        })
     }
 }
 
@@ -178,7 +182,6 @@ pub(crate) mod tests {
     fn intervals_cover_the_truth_on_correlated_signals() {
         for (runs, len, per_time) in [(1, 1024, 4.0), (1, 600, 6.0), (4, 256, 5.0)] {
             let (honest, naive) = coverage(runs, len, per_time);
-            println!("{runs} {len} {per_time}: {honest} {naive}");
             assert!((0.93..0.98).contains(&honest), "{runs} x {len}: {honest}");
             assert!(naive < 0.6, "{runs} x {len}: independent errors cover {naive}");
         }
@@ -187,7 +190,6 @@ pub(crate) mod tests {
     #[test]
     fn independent_blocks_lose_little() {
         let (honest, naive) = coverage(1, 256, 0.01);
-        println!("{honest} {naive}");
         assert!((0.93..0.99).contains(&honest), "{honest}");
         assert!((0.92..0.97).contains(&naive), "{naive}");
     }

@@ -18,11 +18,11 @@ pub enum FilterError {
         spacing * cells.round().max(1.0)
     )]
     NotWhole {
-        /// The width [m].
+        /// The width \[m\].
         width: f64,
         /// The axis that it does not fit.
         axis: usize,
-        /// Cell edge along that axis [m].
+        /// Cell edge along that axis \[m\].
         spacing: f64,
         /// Width over cell edge.
         cells: f64,
@@ -42,7 +42,7 @@ pub enum FilterError {
     },
 }
 
-/// Cells along each axis in a box filter of edge `width` [m] on `grid`.
+/// Cells along each axis in a box filter of edge `width` \[m\] on `grid`.
 ///
 /// # Errors
 /// [`FilterError::NotWhole`] if an edge is not a whole number of cells (to 1e-6 of a cell),
@@ -52,14 +52,13 @@ pub fn width_in_cells<const D: usize>(
     width: f64,
 ) -> Result<[usize; D], FilterError> {
     let mut widths = [0; D];
-    for axis in 0..D {
-        let spacing = grid.spacing[axis];
+    for (axis, (&spacing, in_cells)) in grid.spacing.iter().zip(&mut widths).enumerate() {
         let cells = width / spacing;
         // Written so that NaN is refused too.
         if !((cells - cells.round()).abs() < 1e-6 && cells > -0.5) {
             return Err(FilterError::NotWhole { width, axis, spacing, cells });
         }
-        widths[axis] = cells.round() as usize;
+        *in_cells = cells.round() as usize;
     }
     fits(&grid.cells, &widths)?;
     Ok(widths)
@@ -362,7 +361,8 @@ mod tests {
         let field: Vec<f64> = (0..640).map(|i| (i % 32) as f64 + 0.5 * (i / 32) as f64).collect();
         let widths = [[4, 4], [5, 3], [8, 12]];
         for (output, [w, v]) in filtered(cells, &widths, &field).iter().zip(widths) {
-            let middle = |x: usize, w: usize| x as f64 + if w % 2 == 0 { 0.5 } else { 0.0 };
+            let middle =
+                |x: usize, w: usize| x as f64 + if w.is_multiple_of(2) { 0.5 } else { 0.0 };
             for y in (v - 1) / 2..20 - v / 2 {
                 for x in (w - 1) / 2..32 - w / 2 {
                     let exact = middle(x, w) + 0.5 * middle(y, v);

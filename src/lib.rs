@@ -9,5 +9,6 @@ pub mod grid;
 pub mod laws;
 pub mod moments;
 pub mod real;
+pub mod series;
 pub mod statistics;
 pub mod table;
