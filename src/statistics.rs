@@ -639,6 +639,10 @@ mod tests {
         // Cut within a block, and merged in the wrong order.
         let mut pieces = sampled(grid, &widths, Some(0.2), 9..20);
         pieces.merge(&sampled(grid, &widths, Some(0.2), 0..9)).unwrap();
+        let instants = |sums: &Sums| -> Vec<(u64, u64)> {
+            sums.blocks.iter().map(|block| (block.place, block.instants)).collect()
+        };
+        assert_eq!(instants(&pieces), instants(&whole));
         let table = bin_table(&[pieces], &scales()).unwrap();
         let expected = bin_table(&[whole], &scales()).unwrap();
         assert_eq!(table.len(), expected.len());
