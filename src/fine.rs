@@ -21,24 +21,24 @@ pub const fn symmetric_index(i: usize, j: usize) -> usize {
 pub struct FineFields<const D: usize> {
     /// The grid on which the fields are given.
     pub grid: Grid<D>,
-    /// Simulated time [s].
+    /// Simulated time \[s\].
     pub time: f64,
-    /// φ [-].
+    /// φ \[-\].
     pub solids_fraction: Vec<f64>,
-    /// u_s [m/s].
+    /// u_s \[m/s\].
     pub solids_velocity: [Vec<f64>; D],
-    /// u_g [m/s].
+    /// u_g \[m/s\].
     pub gas_velocity: [Vec<f64>; D],
-    /// Vertical gradient of the gas pressure's periodic part, ∂p/∂y [Pa/m].
+    /// Vertical gradient of the gas pressure's periodic part, ∂p/∂y \[Pa/m\].
     pub vertical_pressure_gradient: Vec<f64>,
-    /// β of the fine-grid drag law in each cell: force on the solids = β (u_g - u_s) [kg/m³/s].
+    /// β of the fine-grid drag law in each cell: force on the solids = β (u_g - u_s) \[kg/m³/s\].
     pub drag_coefficient: Vec<f64>,
-    /// Granular temperature Θ [m²/s²].
+    /// Granular temperature Θ \[m²/s²\].
     pub granular_temperature: Vec<f64>,
     /// Isotropic part of the solids' kinetic-theory stress, compression positive:
-    /// P_s - η μ_b ∇·u_s [Pa].
+    /// P_s - η μ_b ∇·u_s \[Pa\].
     pub solids_pressure: Vec<f64>,
-    /// Deviatoric kinetic-theory stress of the solids, compression positive: -2 μ_s S [Pa];
+    /// Deviatoric kinetic-theory stress of the solids, compression positive: -2 μ_s S \[Pa\];
     /// one vector per component, in the order of [`symmetric_index`].
     pub solids_stress: Vec<Vec<f64>>,
 }

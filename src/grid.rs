@@ -6,12 +6,12 @@
 pub struct Grid<const D: usize> {
     /// Number of cells along each axis.
     pub cells: [usize; D],
-    /// Cell edge along each axis [m].
+    /// Cell edge along each axis \[m\].
     pub spacing: [f64; D],
 }
 
 impl<const D: usize> Grid<D> {
-    /// A box of edge lengths `size` [m] with `cells` cells along each axis.
+    /// A box of edge lengths `size` \[m\] with `cells` cells along each axis.
     pub fn new(size: [f64; D], cells: [usize; D]) -> Self {
         Self { cells, spacing: std::array::from_fn(|axis| size[axis] / cells[axis] as f64) }
     }
@@ -26,12 +26,12 @@ impl<const D: usize> Grid<D> {
         self.len() == 0
     }
 
-    /// Edge lengths of the box [m].
+    /// Edge lengths of the box \[m\].
     pub fn size(&self) -> [f64; D] {
         std::array::from_fn(|axis| self.cells[axis] as f64 * self.spacing[axis])
     }
 
-    /// Area (2-D: length, of a slice one metre deep) or volume of one cell [m^D].
+    /// Area (2-D: length, of a slice one metre deep) or volume of one cell \[m^D\].
     pub fn cell_volume(&self) -> f64 {
         self.spacing.iter().product()
     }

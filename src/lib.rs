@@ -1,13 +1,25 @@
-//! Favre.
+#![doc = include_str!("ARCHITECTURE.md")]
 #![deny(missing_docs)]
+
 pub mod case;
+
 pub mod field;
-pub mod fine;
 pub mod grid;
-pub mod laws;
 pub mod poisson;
 pub mod real;
 pub mod rows;
 pub mod stencil;
-pub mod table;
+
+pub mod laws;
 pub mod two_fluid;
+
+pub mod fine;
+
+pub mod blocking;
+pub mod filter;
+pub mod filtered;
+pub mod moments;
+pub mod series;
+pub mod statistics;
+
+pub mod table;

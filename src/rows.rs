@@ -1,7 +1,7 @@
 //! Walking a field row by row: the only home of threads, of the choice of SIMD, and of `unsafe`.
 //!
 //! A kernel is a function of slices, one row at a time. [`Rows`] calls it for every row, on as many
-//! threads as the pool has, and leaves the outputs' halos periodic. The [`simd!`] macro compiles a
+//! threads as the pool has, and leaves the outputs' halos periodic. The `simd!` macro compiles a
 //! row function for AVX-512, for AVX2 and for the baseline, and picks one at run time, so that a
 //! portable binary runs at the speed of a native one.
 //!
@@ -64,8 +64,8 @@ fn detect() -> Simd {
 
 /// Compiles a row function once per instruction set and picks at run time.
 ///
-/// The generics stand in brackets: `simd! { fn axpy[R: Real](y: &mut [R], a: R, x: &[R]) { .. } }`.
-/// Outputs must be arguments of their own (`&mut [R]`), so that the compiler knows that they do not
+/// The generics stand in brackets: `simd! { fn axpy[R: Real](y: &mut \[R\], a: R, x: &\[R\]) { .. } }`.
+/// Outputs must be arguments of their own (`&mut \[R\]`), so that the compiler knows that they do not
 /// overlap with the inputs.
 macro_rules! simd {
     ($(#[$meta:meta])* $vis:vis fn $name:ident[$($generics:tt)*]($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)? $body:block) => {
@@ -234,7 +234,7 @@ pub(crate) fn by_axis<R, const D: usize, const K: usize>(
 }
 
 /// Σ over the axes of an expression of an axis's slices, which [`by_axis`] has prepared:
-/// `sum_axes!(D, slices, |[lower, upper], axis| upper[i] - lower[i])`. A macro, because a closure
+/// `sum_axes!(D, slices, |\[lower, upper\], axis| upper\[i\] - lower\[i\])`. A macro, because a closure
 /// used three times is not inlined, and a kernel that calls is not vectorised.
 macro_rules! sum_axes {
     ($d:ident, $slices:expr, |$pattern:pat_param, $axis:pat_param| $term:expr) => {{

@@ -89,7 +89,7 @@ pub struct Setup {
     pub powder: Powder,
     /// The gas.
     pub gas: Gas,
-    /// Gravity [m/s²].
+    /// Gravity \[m/s²\].
     pub gravity: f64,
     /// Fine-grid drag law.
     pub drag: DragChoice,
@@ -122,7 +122,7 @@ pub enum Limit {
 /// How a step went.
 #[derive(Clone, Copy, Debug)]
 pub struct StepReport {
-    /// Its length [s].
+    /// Its length \[s\].
     pub dt: f64,
     /// What limited it.
     pub limit: Limit,
@@ -130,7 +130,7 @@ pub struct StepReport {
     pub gas_steps: usize,
     /// Pressure iterations.
     pub iterations: usize,
-    /// Volume that the pressure left unaccounted for: largest |∇·(φ u_s + (1-φ) u_g)| dt [-].
+    /// Volume that the pressure left unaccounted for: largest |∇·(φ u_s + (1-φ) u_g)| dt \[-\].
     pub volume_residual: f64,
 }
 
@@ -143,13 +143,13 @@ pub enum StepError {
          {residual:.1e} of a cell's volume is unaccounted for (dt = {dt:.2e} s, limited by {limit:?})"
     )]
     Pressure {
-        /// Simulated time [s].
+        /// Simulated time \[s\].
         time: f64,
         /// Iterations done.
         iterations: usize,
         /// Remaining divergence times dt.
         residual: f64,
-        /// Time step [s].
+        /// Time step \[s\].
         dt: f64,
         /// What limited the step.
         limit: Limit,
@@ -157,9 +157,9 @@ pub enum StepError {
     /// A field is no longer finite.
     #[error("the fields are not finite at t = {time:.6} s (dt = {dt:.2e} s, limited by {limit:?})")]
     NotFinite {
-        /// Simulated time [s].
+        /// Simulated time \[s\].
         time: f64,
-        /// Time step [s].
+        /// Time step \[s\].
         dt: f64,
         /// What limited the step.
         limit: Limit,
@@ -169,15 +169,15 @@ pub enum StepError {
 /// Means over the box at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Means<const D: usize> {
-    /// ⟨(1-φ) u_g⟩/⟨1-φ⟩ - ⟨φ u_s⟩/⟨φ⟩, vertical [m/s].
+    /// ⟨(1-φ) u_g⟩/⟨1-φ⟩ - ⟨φ u_s⟩/⟨φ⟩, vertical \[m/s\].
     pub slip: f64,
-    /// ⟨φ (u_g - u_s)⟩/⟨φ⟩, vertical: the slip that the particles see [m/s].
+    /// ⟨φ (u_g - u_s)⟩/⟨φ⟩, vertical: the slip that the particles see \[m/s\].
     pub particle_slip: f64,
-    /// ⟨φ⟩ [-].
+    /// ⟨φ⟩ \[-\].
     pub solids_fraction: f64,
-    /// ⟨φ²⟩ - ⟨φ⟩² [-].
+    /// ⟨φ²⟩ - ⟨φ⟩² \[-\].
     pub solids_fraction_variance: f64,
-    /// Momentum of the mixture per volume, ghost mass included [kg/m²/s].
+    /// Momentum of the mixture per volume, ghost mass included \[kg/m²/s\].
     pub momentum: [f64; D],
 }
 
@@ -189,7 +189,7 @@ pub struct TwoFluid<R, const D: usize> {
     medium: Medium<R>,
     /// The drag law in double precision, for what is handed to the filter.
     law: Box<dyn DragRow<f64>>,
-    /// Weight less the mean pressure gradient's push, g (ρ_mean - ρ_k), for solids and gas [N/m³].
+    /// Weight less the mean pressure gradient's push, g (ρ_mean - ρ_k), for solids and gas \[N/m³\].
     buoyancy: [R; 2],
     time: f64,
     steps: u64,
@@ -295,13 +295,21 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         }
     }
 
-    /// Advances by one time step, chosen by stability and at most `most` [s].
+    /// Advances by one time step towards the time `until` \[s\], chosen by stability and such that
+    /// equal steps end there.
     ///
     /// # Errors
     /// When the pressure does not converge or a field is no longer finite.
-    pub fn step(&mut self, most: f64) -> Result<StepReport, StepError> {
+    ///
+    /// # Panics
+    /// When `until` is not in the future.
+    pub fn step(&mut self, until: f64) -> Result<StepReport, StepError> {
+        assert!(until > self.time, "a step from {} s to {until} s", self.time);
         let rows = self.rows;
-        let (dt, limit) = if self.next_dt.0 > most { (most, Limit::Longest) } else { self.next_dt };
+        let (longest, limit) = self.next_dt;
+        let remaining = until - self.time;
+        let left = (remaining / longest - 1e-9).ceil().max(1.0);
+        let dt = if left.is_finite() { remaining / left } else { longest };
         let inverse_spacing = self.grid.spacing.map(|h| R::of(1.0 / h));
         let courant = self.grid.spacing.map(|h| R::of(dt / h));
         let inverse_square: f64 = self.grid.spacing.iter().map(|h| 1.0 / (h * h)).sum();
@@ -401,7 +409,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let increment = &self.increment;
         rows.each([&mut self.pressure], |o, [p]| exchange::add_row(p, increment.row(o)));
 
-        self.time += dt;
+        // The last step ends there to the bit, whatever the sum of the steps rounds to.
+        self.time = if left == 1.0 { until } else { self.time + dt };
         self.steps += 1;
         let report = StepReport {
             dt,
@@ -420,12 +429,12 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         if residual > 100.0 * TOLERANCE {
             return Err(StepError::Pressure { time, iterations, residual, dt, limit });
         }
-        self.next_dt = self.choose_step(dt, sound, inverse_square);
+        self.next_dt = self.choose_step(longest, sound, inverse_square);
         Ok(report)
     }
 
-    /// The next time step and what limits it.
-    fn choose_step(&self, dt: f64, sound_squared: f64, inverse_square: f64) -> (f64, Limit) {
+    /// The longest next time step after one that might have been `longest`, and what limits it.
+    fn choose_step(&self, longest: f64, sound_squared: f64, inverse_square: f64) -> (f64, Limit) {
         let scales = crate::laws::scales::Scales::new(
             &self.setup.powder,
             &self.setup.gas,
@@ -442,10 +451,13 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             (LONGEST_STEP * scales.time(), Limit::Longest),
         ]
         .into_iter()
-        .fold((GROWTH * dt, Limit::Growth), |best, next| if next.0 < best.0 { next } else { best })
+        .fold(
+            (GROWTH * longest, Limit::Growth),
+            |best, next| if next.0 < best.0 { next } else { best },
+        )
     }
 
-    /// Largest Σ |u_a|/h_a of a cell [1/s].
+    /// Largest Σ |u_a|/h_a of a cell \[1/s\].
     fn largest_courant(&self, velocity: &Faces<R, D>) -> f64 {
         let rows = self.rows;
         let inverse_spacing = self.grid.spacing.map(|h| R::of(1.0 / h));
@@ -461,7 +473,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         .f64()
     }
 
-    /// Simulated time [s].
+    /// Simulated time \[s\].
     pub fn time(&self) -> f64 {
         self.time
     }
@@ -481,12 +493,12 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         &self.phi
     }
 
-    /// Granular temperature at cell centres [m²/s²].
+    /// Granular temperature at cell centres \[m²/s²\].
     pub fn granular_temperature(&self) -> &Field<R, D> {
         &self.theta
     }
 
-    /// Slip velocity of the uniform state at the box's mean solids fraction [m/s].
+    /// Slip velocity of the uniform state at the box's mean solids fraction \[m/s\].
     pub fn uniform_slip(&self) -> f64 {
         uniform_slip(&self.setup)
     }
@@ -613,7 +625,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
     }
 }
 
-/// Slip velocity of the uniform state [m/s].
+/// Slip velocity of the uniform state \[m/s\].
 fn uniform_slip(setup: &Setup) -> f64 {
     let Setup { powder, gas, gravity, solids_fraction, .. } = setup;
     match setup.drag {
@@ -624,7 +636,7 @@ fn uniform_slip(setup: &Setup) -> f64 {
     }
 }
 
-/// Granular temperature at which production by `slip` balances dissipation [m²/s²].
+/// Granular temperature at which production by `slip` balances dissipation \[m²/s²\].
 fn uniform_temperature(setup: &Setup, theory: &KineticTheory<f64>, slip: f64) -> f64 {
     let phi = setup.solids_fraction;
     let drag = (1.0 - phi) * (setup.powder.density - setup.gas.density) * setup.gravity / slip;
@@ -667,7 +679,7 @@ mod tests {
             let grid = Grid::new(cells.map(|n| 1.25e-3 * n as f64), cells);
             let mut flow = TwoFluid::<f64, D>::new(grid, setup(phi, 0.0));
             for _ in 0..300 {
-                flow.step(1.0).unwrap();
+                flow.step(f64::INFINITY).unwrap();
             }
             let slip = flow.means().slip;
             let weight = phi * (1.0 - phi) * (POWDER.density - GAS.density) * 9.81;

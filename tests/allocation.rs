@@ -40,10 +40,10 @@ fn allocations_of_steps<const D: usize>(cells: [usize; D]) -> usize {
     };
     let grid = Grid::new(cells.map(|n| 1.25e-3 * n as f64), cells);
     let mut flow = TwoFluid::<f64, D>::new(grid, setup);
-    flow.step(1.0).unwrap();
+    flow.step(f64::INFINITY).unwrap();
     let before = ALLOCATIONS.load(Ordering::Relaxed);
     for _ in 0..50 {
-        flow.step(1.0).unwrap();
+        flow.step(f64::INFINITY).unwrap();
     }
     ALLOCATIONS.load(Ordering::Relaxed) - before
 }

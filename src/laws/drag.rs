@@ -5,11 +5,11 @@ use crate::real::Real;
 
 /// A fine-grid drag law: force on the solids per volume = β (u_g - u_s).
 pub trait DragLaw<R: Real>: Copy + Send + Sync {
-    /// β/φ [kg/m³/s] at solids fraction φ and slip speed |u_g - u_s| [m/s]; finite at φ → 0 and at
+    /// β/φ \[kg/m³/s\] at solids fraction φ and slip speed |u_g - u_s| \[m/s\]; finite at φ → 0 and at
     /// zero slip.
     fn beta_per_fraction(&self, solids_fraction: R, slip_speed: R) -> R;
 
-    /// β [kg/m³/s].
+    /// β \[kg/m³/s\].
     #[inline(always)]
     fn beta(&self, solids_fraction: R, slip_speed: R) -> R {
         solids_fraction * self.beta_per_fraction(solids_fraction, slip_speed)
@@ -22,9 +22,9 @@ pub trait DragLaw<R: Real>: Copy + Send + Sync {
 /// Written with C_D Re, which has no 0/0 at rest: β/φ = ¾ (C_D Re) μ_g / d² · (1-φ)^-2.65.
 #[derive(Clone, Copy, Debug)]
 pub struct WenYu<R> {
-    /// ρ_g d / μ_g [s/m].
+    /// ρ_g d / μ_g \[s/m\].
     reynolds_per_speed: R,
-    /// ¾ μ_g / d² [kg/m³/s].
+    /// ¾ μ_g / d² \[kg/m³/s\].
     stokes: R,
 }
 

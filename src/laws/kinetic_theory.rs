@@ -2,8 +2,8 @@
 //!
 //! The closure of Lun et al. (1984) with the gas damping of Koch & Sangani and of Ma & Ahmadi as
 //! Agrawal, Loezos, Syamlal & Sundaresan (2001, J. Fluid Mech. 445:151) and Igci et al. (2008,
-//! AIChE J. 54:1431) use it. Notation: T granular temperature ⟨C·C⟩/3 [m²/s²], η = (1+e)/2,
-//! g0 radial distribution at contact, K = β/φ [kg/m³/s].
+//! AIChE J. 54:1431) use it. Notation: T granular temperature ⟨C·C⟩/3 \[m²/s²\], η = (1+e)/2,
+//! g0 radial distribution at contact, K = β/φ \[kg/m³/s\].
 //!
 //! Everything is written so that it stays finite as φ → 0: what the equations of motion divide by
 //! φ is given per unit of solids mass, and K replaces β.
@@ -12,7 +12,7 @@ use super::scales::{Gas, Powder};
 use crate::real::Real;
 use std::f64::consts::PI;
 
-/// α of the shear viscosity [-].
+/// α of the shear viscosity \[-\].
 const ALPHA: f64 = 1.6;
 
 /// Smallest 1 - (φ/φ_max)^(1/3): caps g0 at 1000 in cells at or past packing, where the packing
@@ -38,11 +38,11 @@ pub struct KineticTheory<R> {
 /// What the granular temperature and fraction of a cell make of the stress and heat flux.
 #[derive(Clone, Copy, Debug)]
 pub struct Transport<R> {
-    /// Shear viscosity μ_s [Pa·s].
+    /// Shear viscosity μ_s \[Pa·s\].
     pub viscosity: R,
-    /// Bulk viscosity as it enters the stress, η μ_b [Pa·s].
+    /// Bulk viscosity as it enters the stress, η μ_b \[Pa·s\].
     pub bulk_viscosity: R,
-    /// Conductivity of granular energy λ [kg/m/s].
+    /// Conductivity of granular energy λ \[kg/m/s\].
     pub conductivity: R,
 }
 
@@ -80,13 +80,13 @@ impl<R: Real> KineticTheory<R> {
         R::ONE / (R::ONE - self.crowding(solids_fraction)).max(R::of(CLOSEST))
     }
 
-    /// P_s = ρ_s φ (1 + 4 η φ g0) T [Pa].
+    /// P_s = ρ_s φ (1 + 4 η φ g0) T \[Pa\].
     #[inline(always)]
     pub fn pressure(&self, phi: R, g0: R, temperature: R) -> R {
         self.density * phi * self.compressibility(phi, g0) * temperature
     }
 
-    /// 1 + 4 η φ g0 [-].
+    /// 1 + 4 η φ g0 \[-\].
     #[inline(always)]
     pub fn compressibility(&self, phi: R, g0: R) -> R {
         R::ONE + R::of(4.0) * self.eta * phi * g0
@@ -143,20 +143,20 @@ impl<R: Real> KineticTheory<R> {
     }
 
     /// Collisional dissipation per solids mass and T^(3/2): J_coll / (ρ_s φ T^(3/2)), where
-    /// J_coll = (48/√π) η (1-η) ρ_s φ² g0 T^(3/2) / d [1/m].
+    /// J_coll = (48/√π) η (1-η) ρ_s φ² g0 T^(3/2) / d \[1/m\].
     #[inline(always)]
     pub fn collisional_dissipation(&self, phi: R, g0: R) -> R {
         self.collisional * phi * g0
     }
 
-    /// Viscous dissipation per solids mass and T: J_vis / (ρ_s φ T) = 3 K / ρ_s [1/s].
+    /// Viscous dissipation per solids mass and T: J_vis / (ρ_s φ T) = 3 K / ρ_s \[1/s\].
     #[inline(always)]
     pub fn viscous_dissipation(&self, drag_per_fraction: R) -> R {
         R::of(3.0) * drag_per_fraction / self.density
     }
 
     /// Production by slip per solids mass, times √T: Γ_slip √T / (ρ_s φ), where
-    /// Γ_slip = 81 φ μ_g² |u_g - u_s|² / (g0 d³ ρ_s √(π T)) (Koch & Sangani 1999) [m³/s⁴].
+    /// Γ_slip = 81 φ μ_g² |u_g - u_s|² / (g0 d³ ρ_s √(π T)) (Koch & Sangani 1999) \[m³/s⁴\].
     #[inline(always)]
     pub fn slip_production(&self, g0: R, slip_squared: R) -> R {
         self.slip * slip_squared / g0
@@ -195,7 +195,7 @@ pub fn balance_temperature<R: Real>(
     s * s
 }
 
-/// Pressure [Pa] that keeps a packing from being overfilled, and its derivative by φ over ρ_s.
+/// Pressure \[Pa\] that keeps a packing from being overfilled, and its derivative by φ over ρ_s.
 ///
 /// The kinetic pressure dies with the granular temperature, so nothing carries the weight of a
 /// cold dense bed. P = B ρ_s x² / (φ_max + 0.012 - φ), x = max(0, φ - φ_max + 0.02), B = 5 m²/s²;
@@ -213,7 +213,7 @@ impl<R: Real> PackingBarrier<R> {
         Self { density: R::of(powder.density), max_packing: R::of(powder.max_packing) }
     }
 
-    /// (P [Pa], (dP/dφ)/ρ_s [m²/s²]) at φ.
+    /// (P \[Pa\], (dP/dφ)/ρ_s \[m²/s²\]) at φ.
     #[inline(always)]
     pub fn pressure(&self, phi: R) -> (R, R) {
         let stiffness = R::of(5.0);

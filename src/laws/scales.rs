@@ -5,39 +5,39 @@ use super::drag::{DragLaw, WenYu};
 /// The gas.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gas {
-    /// ρ_g [kg/m³].
+    /// ρ_g \[kg/m³\].
     pub density: f64,
-    /// μ_g [Pa·s].
+    /// μ_g \[Pa·s\].
     pub viscosity: f64,
 }
 
 /// The powder: equal spheres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Powder {
-    /// d [m].
+    /// d \[m\].
     pub diameter: f64,
-    /// ρ_s, of one particle [kg/m³].
+    /// ρ_s, of one particle \[kg/m³\].
     pub density: f64,
-    /// Restitution coefficient of a collision e [-].
+    /// Restitution coefficient of a collision e \[-\].
     pub restitution: f64,
-    /// Solids fraction of the densest random packing φ_max [-].
+    /// Solids fraction of the densest random packing φ_max \[-\].
     pub max_packing: f64,
 }
 
 /// The scales that a powder, a gas and gravity set.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scales {
-    /// Terminal velocity u_t of one sphere, drag of Schiller & Naumann solved (not Stokes) [m/s].
+    /// Terminal velocity u_t of one sphere, drag of Schiller & Naumann solved (not Stokes) \[m/s\].
     pub terminal_velocity: f64,
-    /// Particle Reynolds number at u_t, ρ_g u_t d / μ_g [-].
+    /// Particle Reynolds number at u_t, ρ_g u_t d / μ_g \[-\].
     pub reynolds: f64,
-    /// Particle Froude number Fr_p = u_t² / (g d) [-].
+    /// Particle Froude number Fr_p = u_t² / (g d) \[-\].
     pub froude: f64,
-    /// Gravity g [m/s²].
+    /// Gravity g \[m/s²\].
     pub gravity: f64,
-    /// Particle diameter d [m].
+    /// Particle diameter d \[m\].
     pub diameter: f64,
-    /// Particle density ρ_s [kg/m³].
+    /// Particle density ρ_s \[kg/m³\].
     pub density: f64,
 }
 
@@ -46,7 +46,7 @@ pub const REFERENCE_LENGTHS: [(&str, f64); 5] =
     [("L_I", 0.0), ("L_II", -2.0 / 3.0), ("L_III", -0.5), ("L_IV", -1.0), ("L_V", -4.0 / 3.0)];
 
 impl Scales {
-    /// The scales of `powder` in `gas` under `gravity` [m/s²].
+    /// The scales of `powder` in `gas` under `gravity` \[m/s²\].
     pub fn new(powder: &Powder, gas: &Gas, gravity: f64) -> Self {
         let u_t = homogeneous_slip(&WenYu::new(gas, powder), powder, gas, gravity, 0.0);
         Self {
@@ -59,32 +59,32 @@ impl Scales {
         }
     }
 
-    /// L(n) = (u_t²/g) Fr_p^n [m].
+    /// L(n) = (u_t²/g) Fr_p^n \[m\].
     pub fn length(&self, exponent: f64) -> f64 {
         self.terminal_velocity.powi(2) / self.gravity * self.froude.powf(exponent)
     }
 
-    /// L_I = u_t²/g [m].
+    /// L_I = u_t²/g \[m\].
     pub fn length_i(&self) -> f64 {
         self.length(0.0)
     }
 
-    /// L_II = d Fr_p^(1/3) [m].
+    /// L_II = d Fr_p^(1/3) \[m\].
     pub fn length_ii(&self) -> f64 {
         self.length(-2.0 / 3.0)
     }
 
-    /// u_t/g [s].
+    /// u_t/g \[s\].
     pub fn time(&self) -> f64 {
         self.terminal_velocity / self.gravity
     }
 
-    /// ρ_s u_t² [Pa].
+    /// ρ_s u_t² \[Pa\].
     pub fn stress(&self) -> f64 {
         self.density * self.terminal_velocity.powi(2)
     }
 
-    /// ρ_s u_t³/g [Pa·s].
+    /// ρ_s u_t³/g \[Pa·s\].
     pub fn viscosity(&self) -> f64 {
         self.density * self.terminal_velocity.powi(3) / self.gravity
     }

@@ -233,7 +233,7 @@ simd! {
 }
 
 simd! {
-    /// Largest Σ_a |u_a| / h_a of the cells of a row, each |u_a| the larger of its two faces [1/s].
+    /// Largest Σ_a |u_a| / h_a of the cells of a row, each |u_a| the larger of its two faces \[1/s\].
     pub(super) fn courant_row[R: Real, const D: usize](
         u: [[&[R]; 2]; D],
         inverse_spacing: [R; D],

@@ -40,17 +40,17 @@ simd! {
 /// What the solids fraction, temperature and slip of a cell make of it.
 #[derive(Clone, Debug)]
 pub(super) struct Closures<R, const D: usize> {
-    /// |u_g - u_s|² at cell centres [m²/s²].
+    /// |u_g - u_s|² at cell centres \[m²/s²\].
     pub(super) slip_squared: Field<R, D>,
-    /// K = β/φ [kg/m³/s].
+    /// K = β/φ \[kg/m³/s\].
     pub(super) drag_per_fraction: Field<R, D>,
-    /// g0 [-].
+    /// g0 \[-\].
     pub(super) radial_distribution: Field<R, D>,
-    /// μ_s [Pa·s].
+    /// μ_s \[Pa·s\].
     pub(super) viscosity: Field<R, D>,
-    /// η μ_b [Pa·s].
+    /// η μ_b \[Pa·s\].
     pub(super) bulk_viscosity: Field<R, D>,
-    /// λ [kg/m/s].
+    /// λ \[kg/m/s\].
     pub(super) conductivity: Field<R, D>,
 }
 
@@ -68,7 +68,7 @@ impl<R: Real, const D: usize> Closures<R, D> {
     }
 
     /// Everything from φ, T and the velocities. `cap` bounds the diffusivities of the nearly empty
-    /// cells whose particles would fly farther than a cell in a step [m²/s].
+    /// cells whose particles would fly farther than a cell in a step \[m²/s\].
     pub(super) fn set(
         &mut self,
         rows: &Rows<D>,
@@ -156,7 +156,7 @@ simd! {
 
 /// Solves the balance of granular energy over `dt`: conduction and viscous heating explicit,
 /// dissipation, compression and production by slip implicit in each cell. Leaves the temperature
-/// and the solids pressure; returns the largest squared speed of sound [m²/s²].
+/// and the solids pressure; returns the largest squared speed of sound \[m²/s²\].
 #[allow(clippy::too_many_arguments)]
 pub(super) fn balance<R: Real, const D: usize>(
     rows: &Rows<D>,
@@ -208,7 +208,7 @@ pub(super) fn balance<R: Real, const D: usize>(
 }
 
 simd! {
-    /// Adds ∂(λ ∂T) + τ_aa ∂(u + u')/2 along one axis [W/m³].
+    /// Adds ∂(λ ∂T) + τ_aa ∂(u + u')/2 along one axis \[W/m³\].
     fn heating_row[R: Real](
         heating: &mut [R],
         theta: [&[R]; 3],

@@ -9,14 +9,14 @@ use crate::field::{Faces, Field};
 use crate::real::Real;
 use crate::rows::{Rows, by_axis, simd, sum_axes};
 
-/// Stress τ, tension positive [Pa], and what it heats.
+/// Stress τ, tension positive \[Pa\], and what it heats.
 #[derive(Clone, Debug)]
 pub(super) struct Stress<R, const D: usize> {
     /// τ_aa at cell centres, one field per axis.
     pub(super) normal: Vec<Field<R, D>>,
     /// τ_ab on the edges at the lower faces of axes a and b, one field per pair.
     shear: Vec<Field<R, D>>,
-    /// Shear heating of an edge over the solids fraction of its four cells [W/m³].
+    /// Shear heating of an edge over the solids fraction of its four cells \[W/m³\].
     shear_heating: Vec<Field<R, D>>,
 }
 
