@@ -23,3 +23,6 @@ pub mod series;
 pub mod statistics;
 
 pub mod table;
+
+pub mod progress;
+pub mod simulate;

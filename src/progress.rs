@@ -1,0 +1,120 @@
+//! [`Progress`]: what a running box shows on standard error.
+
+use crate::series::mean_with_error;
+use crate::simulate::Signals;
+use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::{IsTerminal, Write};
+use std::time::{Duration, Instant};
+
+/// Plain lines, where there is no terminal, come no more often than this.
+const LINE_INTERVAL: Duration = Duration::from_secs(10);
+
+/// Progress of all boxes of a run: a bar each on a terminal, else a line now and then.
+pub struct Progress {
+    bars: MultiProgress,
+    /// Terminal velocity, which slips are shown in \[m/s\].
+    terminal_velocity: f64,
+    quiet: bool,
+    lines: bool,
+}
+
+/// Progress of one box.
+pub struct BoxProgress {
+    bar: ProgressBar,
+    label: String,
+    terminal_velocity: f64,
+    duration: f64,
+    begin: Instant,
+    /// When the last plain line was written, if plain lines are.
+    last_line: Option<Instant>,
+}
+
+impl Progress {
+    /// Shows nothing if `quiet`.
+    pub fn new(quiet: bool, terminal_velocity: f64) -> Self {
+        let terminal = std::io::stderr().is_terminal();
+        let target = if quiet || !terminal {
+            ProgressDrawTarget::hidden()
+        } else {
+            ProgressDrawTarget::stderr_with_hz(5)
+        };
+        let bars = MultiProgress::with_draw_target(target);
+        Self { bars, terminal_velocity, quiet, lines: !quiet && !terminal }
+    }
+
+    /// Starts the box of `solids_fraction`, which will simulate `duration` \[s\].
+    pub fn start(&self, solids_fraction: f64, duration: f64) -> BoxProgress {
+        let bar = self.bars.add(ProgressBar::new(1000));
+        // A bad template is a mistake of ours that the first run shows.
+        if let Ok(style) = ProgressStyle::with_template("{prefix} {bar:24} {msg} ({eta} left)") {
+            bar.set_style(style.progress_chars("━╸ "));
+        }
+        let label = format!("⟨φ⟩ = {solids_fraction:<5}");
+        bar.set_prefix(label.clone());
+        let begin = Instant::now();
+        BoxProgress {
+            bar,
+            label,
+            terminal_velocity: self.terminal_velocity,
+            duration,
+            begin,
+            last_line: self.lines.then_some(begin),
+        }
+    }
+
+    /// Says one line of `message`, above the bars.
+    pub fn say(&self, message: &str) {
+        if self.lines {
+            let _ = writeln!(std::io::stderr(), "favre: {message}");
+        } else if !self.quiet {
+            let _ = self.bars.println(format!("favre: {message}"));
+        }
+    }
+}
+
+impl BoxProgress {
+    /// Shows where the box is.
+    pub fn update(&mut self, signals: &Signals, steps: u64) {
+        let time = signals.time.last().copied().unwrap_or_default();
+        self.bar.set_position((1000.0 * time / self.duration) as u64);
+        let due = match self.last_line {
+            None => !self.bar.is_hidden(),
+            Some(last) => last.elapsed() >= LINE_INTERVAL,
+        };
+        if !due {
+            return;
+        }
+        let rate = steps as f64 / self.begin.elapsed().as_secs_f64().max(1e-9);
+        let text = format!(
+            "t = {time:.3} of {:.3} s, {rate:.0} steps/s, slip {}",
+            self.duration,
+            self.slip(signals)
+        );
+        if self.last_line.is_some() {
+            let _ = writeln!(std::io::stderr(), "favre: {}: {text}", self.label.trim_end());
+            self.last_line = Some(Instant::now());
+        } else {
+            self.bar.set_message(text);
+        }
+    }
+
+    /// Slip over u_t with its present error, from the second half of what there is: a choice that
+    /// needs no decision about the start until the run is over.
+    fn slip(&self, signals: &Signals) -> String {
+        let half = &signals.slip[signals.slip.len() / 2..];
+        match mean_with_error(half) {
+            Some(slip) if slip.standard_error.is_finite() => format!(
+                "{:.3} ± {:.3} u_t",
+                slip.mean / self.terminal_velocity,
+                slip.standard_error / self.terminal_velocity
+            ),
+            Some(slip) => format!("{:.3} u_t", slip.mean / self.terminal_velocity),
+            None => String::from("-"),
+        }
+    }
+
+    /// Takes the bar away; the summary says the rest.
+    pub fn finish(self) {
+        self.bar.finish_and_clear();
+    }
+}

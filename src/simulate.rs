@@ -1,0 +1,237 @@
+//! [`simulate`]: one box from its start to its end, sampled in flight.
+
+use crate::case::{Case, DragChoice, MarkerChoice};
+use crate::filter::FilterError;
+use crate::fine::FineFields;
+use crate::grid::Grid;
+use crate::laws::drag::WenYu;
+use crate::laws::scales::Scales;
+use crate::real::Real;
+use crate::series::{Onset, steady_start};
+use crate::statistics::{Bins, Sampler, Sums};
+use crate::two_fluid::{Limit, Means, Setup, StepError, TwoFluid};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Sampling intervals in a block of time, the smallest unit of the error estimate.
+const SAMPLES_PER_BLOCK: f64 = 4.0;
+
+/// Means over the box at equal intervals of time, the first at t = 0.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Signals {
+    /// Time \[s\].
+    pub time: Vec<f64>,
+    /// Mean slip, vertical \[m/s\].
+    pub slip: Vec<f64>,
+    /// Slip seen by the particles, vertical \[m/s\].
+    pub particle_slip: Vec<f64>,
+    /// Variance of the solids fraction \[-\].
+    pub solids_fraction_variance: Vec<f64>,
+}
+
+impl Signals {
+    fn push<const D: usize>(&mut self, time: f64, means: &Means<D>) {
+        self.time.push(time);
+        self.slip.push(means.slip);
+        self.particle_slip.push(means.particle_slip);
+        self.solids_fraction_variance.push(means.solids_fraction_variance);
+    }
+
+    /// When the box became statistically steady: the latest of what its signals say. The slip
+    /// seen by the particles falls and the variance of φ rises as clusters form; the mean slip,
+    /// heavy-tailed where gas channels open, is not asked.
+    pub fn onset(&self) -> Onset {
+        steady_start(&self.time, &self.particle_slip)
+            .and(steady_start(&self.time, &self.solids_fraction_variance))
+    }
+
+    /// Index of the first sample at or after `time`.
+    pub fn from(&self, time: f64) -> usize {
+        self.time.partition_point(|&t| t < time)
+    }
+}
+
+/// What simulating a box cost and how it went.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Cost {
+    /// Time steps.
+    pub steps: u64,
+    /// Pressure iterations in all.
+    pub pressure_iterations: u64,
+    /// Gas sub-steps in all.
+    pub gas_steps: u64,
+    /// Steps limited by growth, solids advection, gas advection, sound, the longest step allowed.
+    pub limited_by: [u64; 5],
+    /// Largest volume fraction that a step left unaccounted for in a cell.
+    pub volume_residual: f64,
+    /// Change of the solids mass over the run, relative.
+    pub mass_change: f64,
+    /// Change of the mixture's momentum over the run, over ρ_s ⟨φ⟩ u_t.
+    pub momentum_change: f64,
+    /// Seconds of the wall clock.
+    pub seconds: f64,
+}
+
+/// A box that has been simulated.
+#[derive(Clone, Debug)]
+pub struct Simulated {
+    /// Mean solids fraction.
+    pub solids_fraction: f64,
+    /// Slip of the uniform state \[m/s\].
+    pub uniform_slip: f64,
+    /// The signals.
+    pub signals: Signals,
+    /// Sums of all samples, the start not yet taken off.
+    pub sums: Sums,
+    /// What it cost.
+    pub cost: Cost,
+    /// Solids fraction at the end, in the plane of the first and the last axis, first axis fastest.
+    pub snapshot: Vec<f64>,
+}
+
+/// Why a box could not be simulated.
+#[derive(Debug, thiserror::Error)]
+pub enum SimulateError {
+    /// It was asked to stop.
+    #[error("interrupted at t = {time:.4} s")]
+    Interrupted {
+        /// Simulated time reached \[s\].
+        time: f64,
+    },
+    /// A step failed.
+    #[error(
+        "the box of mean solids fraction {solids_fraction} failed; a finer or larger grid or \
+         another seed may do"
+    )]
+    Step {
+        /// Mean solids fraction of the box.
+        solids_fraction: f64,
+        /// The step.
+        source: StepError,
+    },
+    /// A filter does not fit the box.
+    #[error(transparent)]
+    Filter(#[from] FilterError),
+}
+
+/// Simulates the box of mean solids fraction `solids_fraction`, filtering as it goes. `parallel`
+/// lets a step use the threads of the current pool. `watch` is called after each sample with the
+/// signals so far and the number of steps.
+///
+/// # Errors
+/// `stop` was set, a step failed, or a filter does not fit.
+///
+/// # Panics
+/// When the case's dimension is not `D`.
+pub fn simulate<R: Real, const D: usize>(
+    case: &Case,
+    solids_fraction: f64,
+    parallel: bool,
+    stop: &AtomicBool,
+    mut watch: impl FnMut(&Signals, u64),
+) -> Result<Simulated, SimulateError> {
+    let begin = std::time::Instant::now();
+    let Case { powder, gas, domain, physics, filter, run, .. } = case;
+    let grid = Grid::new(
+        std::array::from_fn::<_, D, _>(|axis| domain.size[axis]),
+        std::array::from_fn(|axis| domain.cells[axis]),
+    );
+    assert_eq!(domain.size.len(), D, "a case of another dimension");
+    let scales = Scales::new(powder, gas, physics.gravity);
+    let mut flow = TwoFluid::<R, D>::new(
+        grid,
+        Setup {
+            powder: *powder,
+            gas: *gas,
+            gravity: physics.gravity,
+            drag: physics.drag,
+            solids_fraction,
+            perturbation: run.perturbation,
+            seed: run.seed,
+            parallel,
+        },
+    );
+    let slip_bin = filter.markers.contains(&MarkerChoice::Slip).then_some(filter.slip_bin);
+    let bins = Bins::new(filter.solids_fraction_bin, powder.max_packing, slip_bin);
+    let law = match physics.drag {
+        DragChoice::WenYu => WenYu::<f64>::new(gas, powder),
+    };
+    let block = SAMPLES_PER_BLOCK * run.sample_interval;
+    let mut sampler = Sampler::new(grid, law, scales, bins, &filter.widths, block)?;
+
+    let mut fine = FineFields::zeros(grid);
+    let mut signals = Signals::default();
+    let mut cost = Cost::default();
+    let start = flow.means();
+    signals.push(0.0, &start);
+    let samples = (run.duration / run.sample_interval).round().max(1.0) as u64;
+    for sample in 1..=samples {
+        let until = sample as f64 * run.sample_interval;
+        while flow.time() < until {
+            if stop.load(Ordering::Relaxed) {
+                return Err(SimulateError::Interrupted { time: flow.time() });
+            }
+            let step = flow
+                .step(until)
+                .map_err(|source| SimulateError::Step { solids_fraction, source })?;
+            cost.steps += 1;
+            cost.pressure_iterations += step.iterations as u64;
+            cost.gas_steps += step.gas_steps as u64;
+            cost.limited_by[place(step.limit)] += 1;
+            cost.volume_residual = cost.volume_residual.max(step.volume_residual);
+        }
+        signals.push(until, &flow.means());
+        flow.fields(&mut fine);
+        sampler.sample(&fine);
+        watch(&signals, cost.steps);
+    }
+    let end = flow.means();
+    let scale = powder.density * solids_fraction * scales.terminal_velocity;
+    cost.mass_change = end.solids_fraction / start.solids_fraction - 1.0;
+    cost.momentum_change = (0..D)
+        .map(|axis| (end.momentum[axis] - start.momentum[axis]).abs() / scale)
+        .fold(0.0, f64::max);
+    cost.seconds = begin.elapsed().as_secs_f64();
+    Ok(Simulated {
+        solids_fraction,
+        uniform_slip: flow.uniform_slip(),
+        signals,
+        sums: sampler.into_sums(),
+        cost,
+        snapshot: middle_plane(&grid, &fine.solids_fraction),
+    })
+}
+
+fn place(limit: Limit) -> usize {
+    match limit {
+        Limit::Growth => 0,
+        Limit::Solids => 1,
+        Limit::Gas => 2,
+        Limit::Sound => 3,
+        Limit::Longest => 4,
+    }
+}
+
+/// The plane of the first and the last axis, in the middle of the others.
+fn middle_plane<const D: usize>(grid: &Grid<D>, field: &[f64]) -> Vec<f64> {
+    let width = grid.cells[0];
+    let layer: usize = grid.cells[..D - 1].iter().product();
+    let offset = layer / width / 2 * width;
+    (0..grid.cells[D - 1])
+        .flat_map(|k| &field[k * layer + offset..k * layer + offset + width])
+        .copied()
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn middle_plane_holds_the_first_and_the_last_axis() {
+        let grid = Grid::new([1.0; 3], [2, 4, 3]);
+        let field: Vec<f64> = (0..24).map(f64::from).collect();
+        assert_eq!(middle_plane(&grid, &field), [4.0, 5.0, 12.0, 13.0, 20.0, 21.0]);
+        let grid = Grid::new([1.0; 2], [2, 3]);
+        assert_eq!(middle_plane(&grid, &field[..6]), field[..6]);
+    }
+}
