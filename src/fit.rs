@@ -98,6 +98,12 @@ pub enum FitError {
         /// Its value.
         value: f64,
     },
+    /// The errors are so large that no parameter is fixed.
+    #[error("{rows} rows fix none of the parameters: their errors are too large; run longer")]
+    Uninformative {
+        /// Rows.
+        rows: usize,
+    },
     /// No start led to a minimum.
     #[error(
         "no minimum of χ² found from {starts} starts; plot the bins: are they H(φ, Δ_f) at all?"
@@ -208,7 +214,8 @@ const INDIFFERENT: f64 = 3.84;
 ///
 /// # Errors
 /// [`FitError`] for rows of another quantity, numbers that are NaN or impossible, fewer rows than
-/// parameters plus two, no spread in value or solids fraction, or no convergence. One filter width
+/// parameters plus two, no spread in value or solids fraction, errors that leave every parameter
+/// open, or no convergence. One filter width
 /// alone is fitted, with the dependence on the filter width held and a note.
 pub fn fit(
     form: &'static dyn ClosureForm,
@@ -293,6 +300,9 @@ pub fn fit(
         let Some(loose) = errors.loose.iter().rposition(|&loose| loose) else {
             break (errors, correlation, plain_chi_squared);
         };
+        if problem.fitted.len() == 1 {
+            return Err(FitError::Uninformative { rows: used.len() });
+        }
         notes.push(problem.hold(loose, &mut free)?);
     };
     Ok(problem.report(
@@ -786,6 +796,22 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn a_parameter_pushed_to_its_bound_is_held_there() {
+        let mut rows = synthetic(&WIDTHS, 0.58, 0.005, 9);
+        for row in &mut rows {
+            row.value /= PLANTED[2];
+        }
+        let found = fitted(&rows);
+        let plateau = &found.coefficients[2];
+        assert!(plateau.held && plateau.value > 0.98 && plateau.value < 1.0, "{plateau:?}");
+        assert!(
+            found.notes.iter().any(|note| note.starts_with("The data push plateau (H_inf)")),
+            "{:?}",
+            found.notes
+        );
+    }
+
+    #[test]
     fn one_filter_width_is_fitted_at_that_width_only() {
         let rows = synthetic(&[4.0], 0.58, 0.01, 6);
         let found = fitted(&rows);
@@ -838,6 +864,12 @@ pub(crate) mod tests {
         let mut unknown = good.clone();
         unknown.iter_mut().skip(7).for_each(|r| r.standard_error = f64::INFINITY);
         assert!(error(&unknown).starts_with("7 rows with a finite standard error"));
+        let mut vague = good.clone();
+        vague.iter_mut().for_each(|r| r.standard_error = 1e3);
+        assert_eq!(
+            error(&vague),
+            "145 rows fix none of the parameters: their errors are too large; run longer"
+        );
         let mut flat = good.clone();
         flat.iter_mut().for_each(|r| r.value = 0.25);
         assert_eq!(error(&flat), "all 145 rows have the value 0.25: there is no dependence to fit");

@@ -91,6 +91,12 @@ pub trait ClosureForm: std::fmt::Debug + Sync {
     /// Quantity that the form describes, as in the bin table.
     fn quantity(&self) -> &'static str;
 
+    /// Unit of that quantity; `-` for a number.
+    fn unit(&self) -> &'static str;
+
+    /// Smallest and largest value that the quantity can have.
+    fn image(&self) -> (f64, f64);
+
     /// The markers, in the order in which [`predict`](Self::predict) takes them.
     fn markers(&self) -> &'static [Marker];
 
@@ -157,6 +163,14 @@ impl ClosureForm for SaturatingDrag {
 
     fn quantity(&self) -> &'static str {
         "drag_correction"
+    }
+
+    fn unit(&self) -> &'static str {
+        "-"
+    }
+
+    fn image(&self) -> (f64, f64) {
+        (0.0, 1.0)
     }
 
     fn markers(&self) -> &'static [Marker] {

@@ -7,8 +7,7 @@
 //! ratio of actual to predicted reduction (Nielsen 1999).
 
 use argmin::core::{
-    Error, IterState, Jacobian, KV, Operator, Problem, Solver, State, TerminationReason,
-    TerminationStatus,
+    Error, IterState, Jacobian, KV, Operator, Problem, Solver, TerminationReason, TerminationStatus,
 };
 use faer::linalg::solvers::SolveLstsq;
 use faer::{Col, Mat};
@@ -172,7 +171,7 @@ fn norm_scaled(x: &[f64], scale: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use argmin::core::Executor;
+    use argmin::core::{Executor, State};
 
     /// A problem given by its residuals and Jacobian.
     struct Given(fn(&[f64]) -> Vec<f64>, fn(&[f64]) -> Mat<f64>);
