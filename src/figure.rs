@@ -161,7 +161,7 @@ pub fn closure_figure(rows: &[BinRow], model: &Model) -> Figure {
 }
 
 /// A snapshot of the solids fraction: `field` of `columns` x `rows` cells, x fastest, the first row
-/// at the bottom, in a box of `size` [m]. Made for PNG: an SVG has one element for each cell.
+/// at the bottom, in a box of `size` \[m\]. Made for PNG: an SVG has one element for each cell.
 ///
 /// # Errors
 /// [`FigureError::WrongShape`] when the field has another number of values.
@@ -215,16 +215,16 @@ pub fn field_figure(
 /// Shades of a field's colour map.
 const SHADES: f64 = 64.0;
 
-/// Largest edge of a field in a PNG [pixels].
+/// Largest edge of a field in a PNG \[pixels\].
 const FIELD_PIXELS: usize = 768;
 
-/// Room beside a field [units]: left, right (colour bar), top, bottom.
+/// Room beside a field \[units\]: left, right (colour bar), top, bottom.
 const FIELD_MARGINS: [f64; 4] = [65.0, 95.0, 40.0, 60.0];
 
-/// Least width of a field's canvas [units].
+/// Least width of a field's canvas \[units\].
 const NARROWEST: f64 = 340.0;
 
-/// The mean slip over time: `slip`/u_t against `times` [s], what comes before `start` [s] of the
+/// The mean slip over time: `slip`/u_t against `times` \[s\], what comes before `start` \[s\] of the
 /// statistics shaded, and the uniform suspension's slip `uniform`/u_t dashed.
 pub fn series_figure(times: &[f64], slip: &[f64], start: f64, uniform: f64) -> Figure {
     let series = times.iter().copied().zip(slip.iter().copied());

@@ -291,29 +291,24 @@ pub fn fit(
     };
 
     let mut free = problem.minimise_from_many_starts()?;
-    let (errors, correlation, plain_chi_squared) = loop {
+    let solution = loop {
         problem.scatter = 0.0;
-        let plain_chi_squared = problem.refine(&mut free)?;
+        let sampling_chi_squared = problem.refine(&mut free)?;
         problem.find_scatter(&mut free)?;
         let correlation = problem.neighbour_correlation(&free, &widths);
         let errors = problem.free_errors(&free, correlation);
         let Some(loose) = errors.loose.iter().rposition(|&loose| loose) else {
-            break (errors, correlation, plain_chi_squared);
+            let covariance = errors.covariance;
+            break Solution { free, covariance, correlation, sampling_chi_squared };
         };
         if problem.fitted.len() == 1 {
             return Err(FitError::Uninformative { rows: used.len() });
         }
         notes.push(problem.hold(loose, &mut free)?);
     };
-    Ok(problem.report(
-        &free,
-        errors,
-        correlation,
-        plain_chi_squared,
-        reference_length,
-        ranges,
-        notes,
-    ))
+    let (coefficients, covariance) = problem.coefficients(&solution);
+    let goodness = problem.goodness(&solution);
+    Ok(Fit { form, reference_length, coefficients, covariance, ranges, goodness, notes })
 }
 
 /// The value of a marker in a row.
@@ -377,6 +372,18 @@ struct LeastSquares {
     base: Vec<f64>,
     /// Positions of the fitted parameters.
     fitted: Vec<usize>,
+}
+
+/// A minimum of χ², with s.
+struct Solution {
+    /// Free coordinates.
+    free: Vec<f64>,
+    /// Their covariance.
+    covariance: Mat<f64>,
+    /// Correlation of neighbouring residuals.
+    correlation: f64,
+    /// χ² of the minimum with s = 0.
+    sampling_chi_squared: f64,
 }
 
 /// What a fit knows about its free coordinates.
@@ -594,22 +601,14 @@ impl LeastSquares {
         *free = rest;
         self.refine(free)?;
         Ok(format!(
-            "The data push {} ({}) towards the edge of its range without fixing it: held at {here:.4}.",
+            "The data do not fix {} ({}), yet its default fits worse: held at {here:.4}.",
             parameter.name, parameter.symbol
         ))
     }
 
-    #[expect(clippy::too_many_arguments, reason = "gathers what the steps of one fit found")]
-    fn report(
-        &self,
-        free: &[f64],
-        errors: FreeErrors,
-        correlation: f64,
-        plain_chi_squared: f64,
-        reference_length: ReferenceLength,
-        ranges: Vec<ValidRange>,
-        notes: Vec<String>,
-    ) -> Fit {
+    /// The coefficients with their errors, and the covariance of their values.
+    fn coefficients(&self, solution: &Solution) -> (Vec<Coefficient>, Vec<Vec<f64>>) {
+        let Solution { free, covariance: free_covariance, .. } = solution;
         let values = self.parameters(free);
         let count = values.len();
         let quantile = student_quantile(self.degrees_of_freedom());
@@ -634,15 +633,21 @@ impl LeastSquares {
         for (a, &k) in self.fitted.iter().enumerate() {
             for (b, &l) in self.fitted.iter().enumerate() {
                 let slopes = bounds(k).slope(values[k]) * bounds(l).slope(values[l]);
-                covariance[k][l] = slopes * errors.covariance[(a, b)];
+                covariance[k][l] = slopes * free_covariance[(a, b)];
             }
-            let half = quantile * errors.covariance[(a, a)].sqrt();
+            let half = quantile * free_covariance[(a, a)].sqrt();
             let coefficient = &mut coefficients[k];
             coefficient.standard_error = covariance[k][k].sqrt();
             coefficient.low_95 = bounds(k).value(free[a] - half);
             coefficient.high_95 = bounds(k).value(free[a] + half);
             coefficient.held = false;
         }
+        (coefficients, covariance)
+    }
+
+    /// How well the solution follows the rows.
+    fn goodness(&self, solution: &Solution) -> Goodness {
+        let values = self.parameters(&solution.free);
         let (mut weights, mut weighted) = (0.0, 0.0);
         for (i, value) in self.values.iter().enumerate() {
             weights += self.sigma(i).powi(-2);
@@ -656,17 +661,15 @@ impl LeastSquares {
             unexplained += (residual / self.sigma(i)).powi(2);
             square += residual.powi(2);
         }
-        let goodness = Goodness {
+        Goodness {
             points: self.values.len(),
             degrees_of_freedom: self.degrees_of_freedom(),
             r_squared: 1.0 - unexplained / scatter,
             rmse: (square / self.values.len() as f64).sqrt(),
-            reduced_chi_squared: plain_chi_squared / self.degrees_of_freedom() as f64,
+            reduced_chi_squared: solution.sampling_chi_squared / self.degrees_of_freedom() as f64,
             extra_scatter: self.scatter,
-            neighbour_correlation: correlation,
-        };
-        let form = self.form;
-        Fit { form, reference_length, coefficients, covariance, ranges, goodness, notes }
+            neighbour_correlation: solution.correlation,
+        }
     }
 }
 
@@ -805,7 +808,10 @@ pub(crate) mod tests {
         let plateau = &found.coefficients[2];
         assert!(plateau.held && plateau.value > 0.98 && plateau.value < 1.0, "{plateau:?}");
         assert!(
-            found.notes.iter().any(|note| note.starts_with("The data push plateau (H_inf)")),
+            found
+                .notes
+                .iter()
+                .any(|note| note.starts_with("The data do not fix plateau (H_inf), yet")),
             "{:?}",
             found.notes
         );

@@ -77,7 +77,7 @@ pub struct Source {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct System {
-    /// Particle diameter d [m].
+    /// Particle diameter d \[m\].
     pub diameter: f64,
     /// Particle density ρ_s [kg/m³].
     pub particle_density: f64,
@@ -95,9 +95,9 @@ pub struct System {
     pub terminal_velocity: f64,
     /// Fr_p = u_t²/(g d) [-].
     pub froude: f64,
-    /// L_I = u_t²/g [m].
+    /// L_I = u_t²/g \[m\].
     pub length_i: f64,
-    /// L_II = d Fr_p^(1/3) [m].
+    /// L_II = d Fr_p^(1/3) \[m\].
     pub length_ii: f64,
 }
 
@@ -119,7 +119,7 @@ impl System {
         }
     }
 
-    /// The reference length L [m].
+    /// The reference length L \[m\].
     pub fn length(&self, reference: ReferenceLength) -> f64 {
         match reference {
             ReferenceLength::One => self.length_i,
@@ -518,7 +518,7 @@ const TABLE_WIDTHS: [f64; 15] =
 
 /// The closure table of a model, which a coarse solver interpolates: a full grid of solids
 /// fractions 0, 0.01, ... up to the end of the valid range, for each of the run's filter widths
-/// `widths` [m] and for round scaled widths inside the valid range.
+/// `widths` \[m\] and for round scaled widths inside the valid range.
 pub fn closure_rows(model: &Model, widths: &[f64]) -> Vec<ClosureRow> {
     let length = model.system.length(model.reference_length);
     let (narrowest, widest) = model.range(Marker::FilterWidth);

@@ -69,7 +69,7 @@ pub struct BinRow {
     pub quantity: String,
     /// Unit of `value`, `standard_error` and the interval; `-` for a number.
     pub unit: String,
-    /// Δ_f [m].
+    /// Δ_f \[m\].
     #[serde(rename = "filter_width [m]")]
     pub filter_width: f64,
     /// Δ_f / L_I [-].
@@ -146,7 +146,7 @@ pub struct ClosureRow {
     pub unit: String,
     /// Where the value comes from.
     pub origin: Origin,
-    /// Δ_f [m].
+    /// Δ_f \[m\].
     #[serde(rename = "filter_width [m]")]
     pub filter_width: f64,
     /// Δ_f / L_I [-].
