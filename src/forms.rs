@@ -129,8 +129,8 @@ pub fn form(name: &str) -> Option<&'static dyn ClosureForm> {
 ///
 /// Against Igci & Sundaresan's piecewise table this one formula has a root mean square deviation
 /// of 0.018 (2-D) and 0.026 (3-D) for 1 ≤ D ≤ 16, 0.005 ≤ φ ≤ 0.56, and 0.029 against Radl &
-/// Sundaresan's. Falls (1 - φ/φ_c)^k fit two to six times worse, because they bend near φ = 0
-/// instead of staying flat up to φ_c; a rise φ/(φ + φ_r) fits no better.
+/// Sundaresan's. Falls (1 - φ/φ_c)^k leave 0.068, 0.149 and 0.036: they bend near φ = 0 instead of
+/// staying flat up to φ_c. A rise φ/(φ + φ_r) leaves 0.019, 0.019 and 0.052: better in 3-D only.
 #[derive(Clone, Copy, Debug)]
 pub struct SaturatingDrag;
 
