@@ -20,9 +20,13 @@ pub mod filter;
 pub mod filtered;
 pub mod moments;
 pub mod series;
+pub mod simulate;
 pub mod statistics;
 
+pub mod fit;
+pub mod forms;
+pub mod model;
 pub mod table;
 
+pub mod figure;
 pub mod progress;
-pub mod simulate;

@@ -1,0 +1,790 @@
+//! [`Model`]: model.toml, the closure format, and the closure table evaluated from it.
+//!
+//! A model file says what is predicted, from which markers in which scales, by which form and
+//! coefficients, with which errors, where it is valid and how to tell that it was understood: it
+//! carries test vectors, which loading reproduces or refuses. TOML floats are written with as many
+//! digits as give the same double back.
+
+use crate::fit::{Coefficient, Fit, Goodness, ReferenceLength, ValidRange, student_quantile};
+use crate::forms::{self, ClosureForm, Marker};
+use crate::laws::scales::{Gas, Powder, Scales};
+use crate::table::{BinRow, ClosureRow, Origin};
+use serde::{Deserialize, Serialize};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+
+/// A fitted closure with everything that its user must know. The fields are the keys of the file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Model {
+    /// Name of the model.
+    pub name: String,
+    /// Quantity predicted, as in the bin table.
+    pub predicts: String,
+    /// Unit of that quantity; `-` for a number.
+    pub unit: String,
+    /// Name of the form, see [`forms::FORMS`].
+    pub form: String,
+    /// Its formula, for the reader; the form's name is what counts.
+    pub formula: String,
+    /// What Δ_f is scaled by.
+    pub reference_length: ReferenceLength,
+    /// What happens outside the valid ranges.
+    pub outside: Outside,
+    /// What a user must know, one sentence each.
+    pub notes: Vec<String>,
+    /// Covariance of the coefficients, in their order.
+    pub covariance: Vec<Vec<f64>>,
+    /// Where the model comes from.
+    pub source: Source,
+    /// Powder, gas and their scales.
+    pub system: System,
+    /// Definitions used.
+    pub definitions: Definitions,
+    /// How well the form follows the bins.
+    pub goodness: Goodness,
+    /// The form's coefficients, in its order.
+    pub coefficients: Vec<Coefficient>,
+    /// Valid range of each marker, in the form's order.
+    pub ranges: Vec<ValidRange>,
+    /// Inputs and expected outputs, inside the ranges and outside.
+    pub test_vectors: Vec<TestVector>,
+}
+
+/// What happens outside the valid ranges.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outside {
+    /// Each marker is moved to the nearest end of its range.
+    Clamp,
+}
+
+/// Where a model comes from: a run, or a publication.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Source {
+    /// Name of the case, or DOI of the publication.
+    pub reference: String,
+    /// Version of the program that fitted it.
+    pub version: String,
+    /// Seed of the run; none for a publication.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+}
+
+/// Powder, gas and their scales.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct System {
+    /// Particle diameter d \[m\].
+    pub diameter: f64,
+    /// Particle density ρ_s [kg/m³].
+    pub particle_density: f64,
+    /// Restitution coefficient [-].
+    pub restitution: f64,
+    /// Solids fraction of the densest packing [-].
+    pub max_packing: f64,
+    /// Gas density ρ_g [kg/m³].
+    pub gas_density: f64,
+    /// Gas viscosity μ_g [Pa·s].
+    pub gas_viscosity: f64,
+    /// Gravity g [m/s²].
+    pub gravity: f64,
+    /// True terminal velocity u_t [m/s].
+    pub terminal_velocity: f64,
+    /// Fr_p = u_t²/(g d) [-].
+    pub froude: f64,
+    /// L_I = u_t²/g \[m\].
+    pub length_i: f64,
+    /// L_II = d Fr_p^(1/3) \[m\].
+    pub length_ii: f64,
+}
+
+impl System {
+    /// The system of `powder` and `gas` with their `scales`.
+    pub fn new(powder: &Powder, gas: &Gas, scales: &Scales) -> Self {
+        Self {
+            diameter: powder.diameter,
+            particle_density: powder.density,
+            restitution: powder.restitution,
+            max_packing: powder.max_packing,
+            gas_density: gas.density,
+            gas_viscosity: gas.viscosity,
+            gravity: scales.gravity,
+            terminal_velocity: scales.terminal_velocity,
+            froude: scales.froude,
+            length_i: scales.length_i(),
+            length_ii: scales.length_ii(),
+        }
+    }
+
+    /// The reference length L \[m\].
+    pub fn length(&self, reference: ReferenceLength) -> f64 {
+        match reference {
+            ReferenceLength::One => self.length_i,
+            ReferenceLength::Two => self.length_ii,
+        }
+    }
+}
+
+/// Definitions used, in words: the traps of this field are conventions.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Definitions {
+    /// u_t.
+    pub terminal_velocity: String,
+    /// Δ_f.
+    pub filter_width: String,
+    /// S.
+    pub shear_rate: String,
+    /// H.
+    pub drag_correction: String,
+    /// Fine-grid drag law whose drag is corrected.
+    pub drag: String,
+}
+
+impl Definitions {
+    /// Those of this crate, for the fine-grid drag law named `drag`.
+    pub fn favre(drag: &str) -> Self {
+        Self {
+            terminal_velocity: "true terminal velocity of one sphere (Wen-Yu drag solved), not \
+                                the Stokes value"
+                .into(),
+            filter_width: "edge of the box filter; scaled: divided by reference_length, \
+                           L_I = u_t^2/g, L_II = d Fr_p^(1/3)"
+                .into(),
+            shear_rate: "S = sqrt(2 Sd:Sd), Sd the deviatoric symmetric gradient of the \
+                         Favre-filtered solids velocity"
+                .into(),
+            drag_correction: "H = 1 - beta_filtered/beta_micro(filtered phi, filtered slip), \
+                              vertical, with the pressure-fluctuation term; multiply the drag by \
+                              (1 - H)"
+                .into(),
+            drag: drag.into(),
+        }
+    }
+}
+
+/// Markers and the value that any implementation of the model must give there, to 1e-12.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TestVector {
+    /// φ [-].
+    pub solids_fraction: f64,
+    /// Δ_f over the reference length [-].
+    pub filter_width: f64,
+    /// Expected value.
+    pub expected: f64,
+}
+
+/// A value with its error.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// Value.
+    pub value: f64,
+    /// Standard error from the coefficients' covariance, to first order. What the form itself
+    /// cannot follow is not in it; that is `goodness.extra_scatter`.
+    pub standard_error: f64,
+    /// Lower end of the 95 % interval, cut at the smallest value possible.
+    pub low_95: f64,
+    /// Upper end of the 95 % interval, cut at the largest value possible.
+    pub high_95: f64,
+}
+
+/// A model file that cannot be used, or a model that cannot be written.
+#[derive(Debug, Error)]
+pub enum ModelError {
+    /// The file cannot be read.
+    #[error("{path}: {source}")]
+    Unreadable {
+        /// File.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// Not TOML, an unknown or missing key, or a value of the wrong kind.
+    #[error("{path}: {source}")]
+    Invalid {
+        /// File.
+        path: PathBuf,
+        /// What the parser says, with line, column and the line itself.
+        source: Box<toml::de::Error>,
+    },
+    /// A form that this version does not know.
+    #[error("{path}: form = \"{form}\" is unknown; known: {known}")]
+    UnknownForm {
+        /// File.
+        path: PathBuf,
+        /// The form.
+        form: String,
+        /// The known ones.
+        known: String,
+    },
+    /// Something does not belong to the form.
+    #[error("{path}: {key} is {found}, but the form `{form}` needs {expected}")]
+    Mismatch {
+        /// File.
+        path: PathBuf,
+        /// Key.
+        key: String,
+        /// What stands there.
+        found: String,
+        /// The form.
+        form: &'static str,
+        /// What should stand there.
+        expected: String,
+    },
+    /// A test vector is not reproduced, so that the file was changed by hand or means another
+    /// formula.
+    #[error(
+        "{path}: test vector {index} (solids_fraction {solids_fraction}, filter_width \
+         {filter_width}) expects {expected}, the coefficients give {found}; coefficients and test \
+         vectors do not belong together"
+    )]
+    TestVector {
+        /// File.
+        path: PathBuf,
+        /// Which, counted from 1.
+        index: usize,
+        /// φ.
+        solids_fraction: f64,
+        /// Δ_f/L.
+        filter_width: f64,
+        /// Value in the file.
+        expected: f64,
+        /// Value of the coefficients.
+        found: f64,
+    },
+    /// There are no test vectors.
+    #[error("{path}: test_vectors is empty; a model must carry at least one")]
+    NoTestVectors {
+        /// File.
+        path: PathBuf,
+    },
+    /// The model cannot be expressed in TOML.
+    #[error("the model cannot be written as TOML: {0}")]
+    Inexpressible(#[from] toml::ser::Error),
+    /// Writing fails.
+    #[error("the model cannot be written: {0}")]
+    Unwritable(#[from] std::io::Error),
+}
+
+/// Largest deviation with which a test vector counts as reproduced: a few hundred roundings.
+const REPRODUCED: f64 = 1e-12;
+
+impl Model {
+    /// The model that `fit` found, with its test vectors.
+    pub fn new(
+        name: &str,
+        fit: &Fit,
+        source: Source,
+        system: System,
+        definitions: Definitions,
+    ) -> Self {
+        let mut model = Self {
+            name: name.into(),
+            predicts: fit.form.quantity().into(),
+            unit: fit.form.unit().into(),
+            form: fit.form.name().into(),
+            formula: fit.form.formula().into(),
+            reference_length: fit.reference_length,
+            outside: Outside::Clamp,
+            notes: fit.notes.clone(),
+            covariance: fit.covariance.clone(),
+            source,
+            system,
+            definitions,
+            goodness: fit.goodness,
+            coefficients: fit.coefficients.clone(),
+            ranges: fit.ranges.clone(),
+            test_vectors: Vec::new(),
+        };
+        let (fractions, widths) =
+            (model.range(Marker::SolidsFraction), model.range(Marker::FilterWidth));
+        // Below, at, between and above the ends of each range.
+        let between = |(low, high): (f64, f64), share: f64| low + share * (high - low);
+        for share in [0.0, 0.2, 0.5, 0.8, 1.0, 1.25] {
+            for width in [0.5 * widths.0, widths.0, between(widths, 0.3), widths.1, 2.0 * widths.1]
+            {
+                let solids_fraction = between(fractions, share);
+                let expected = model.evaluate(solids_fraction, width);
+                model.test_vectors.push(TestVector {
+                    solids_fraction,
+                    filter_width: width,
+                    expected,
+                });
+            }
+        }
+        model
+    }
+
+    /// Reads and checks a model file.
+    ///
+    /// # Errors
+    /// [`ModelError`] when the file cannot be read, or as for [`parse`](Self::parse).
+    pub fn load(path: &Path) -> Result<Self, ModelError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ModelError::Unreadable { path: path.into(), source })?;
+        Self::parse(&text, path)
+    }
+
+    /// Reads and checks the text of a model file; `path` names it in errors.
+    ///
+    /// # Errors
+    /// [`ModelError`] for text that is not such a TOML document (unknown keys included), an unknown
+    /// form, coefficients, covariance or ranges that do not fit the form, and test vectors that are
+    /// absent or not reproduced to 1e-12.
+    pub fn parse(text: &str, path: &Path) -> Result<Self, ModelError> {
+        let model: Self = toml::from_str(text)
+            .map_err(|e| ModelError::Invalid { path: path.into(), source: Box::new(e) })?;
+        let Some(form) = forms::form(&model.form) else {
+            let known = forms::FORMS.map(|form| form.name()).join(", ");
+            return Err(ModelError::UnknownForm { path: path.into(), form: model.form, known });
+        };
+        if let Some((key, found, expected)) = model.mismatch(form) {
+            let (path, form) = (path.into(), form.name());
+            return Err(ModelError::Mismatch { path, key, found, form, expected });
+        }
+        if model.test_vectors.is_empty() {
+            return Err(ModelError::NoTestVectors { path: path.into() });
+        }
+        for (i, vector) in model.test_vectors.iter().enumerate() {
+            let found = model.evaluate(vector.solids_fraction, vector.filter_width);
+            let deviation = (found - vector.expected).abs();
+            if deviation.is_nan() || deviation > REPRODUCED {
+                return Err(ModelError::TestVector {
+                    path: path.into(),
+                    index: i + 1,
+                    solids_fraction: vector.solids_fraction,
+                    filter_width: vector.filter_width,
+                    expected: vector.expected,
+                    found,
+                });
+            }
+        }
+        Ok(model)
+    }
+
+    /// What does not fit the form: key, what it is, what it should be.
+    fn mismatch(&self, form: &dyn ClosureForm) -> Option<(String, String, String)> {
+        let list = |names: Vec<String>| names.join(", ");
+        if self.predicts != form.quantity() {
+            return Some((
+                "predicts".into(),
+                format!("\"{}\"", self.predicts),
+                format!("\"{}\"", form.quantity()),
+            ));
+        }
+        let names = list(self.coefficients.iter().map(|c| c.name.clone()).collect());
+        let expected = list(form.parameters().iter().map(|p| p.name.into()).collect());
+        if names != expected {
+            return Some(("coefficients".into(), format!("[{names}]"), format!("[{expected}]")));
+        }
+        for (coefficient, parameter) in self.coefficients.iter().zip(form.parameters()) {
+            if !parameter.bounds.contains(coefficient.value) {
+                return Some((
+                    format!("coefficient {}", coefficient.name),
+                    coefficient.value.to_string(),
+                    format!("a value inside {:?}", parameter.bounds),
+                ));
+            }
+        }
+        let markers: Vec<Marker> = self.ranges.iter().map(|range| range.marker).collect();
+        if markers != form.markers() {
+            return Some((
+                "ranges".into(),
+                format!("{markers:?}"),
+                format!("one range for each of {:?}", form.markers()),
+            ));
+        }
+        for range in &self.ranges {
+            if !(range.low >= 0.0 && range.low <= range.high && range.high.is_finite()) {
+                return Some((
+                    format!("range of {:?}", range.marker),
+                    format!("{} to {}", range.low, range.high),
+                    "0 ≤ low ≤ high".into(),
+                ));
+            }
+        }
+        let count = form.parameters().len();
+        let good = |row: &Vec<f64>| row.len() == count && row.iter().all(|c| c.is_finite());
+        if self.covariance.len() != count || !self.covariance.iter().all(good) {
+            return Some((
+                "covariance".into(),
+                "another shape or not finite".into(),
+                format!("{count} rows of {count} numbers"),
+            ));
+        }
+        None
+    }
+
+    /// Writes the model as TOML.
+    ///
+    /// # Errors
+    /// [`ModelError::Unwritable`] when the writer fails, [`ModelError::Inexpressible`] for a number
+    /// that TOML does not have (a seed above 2⁶³ - 1).
+    pub fn save(&self, mut writer: impl Write) -> Result<(), ModelError> {
+        writer.write_all(toml::to_string(self)?.as_bytes())?;
+        Ok(())
+    }
+
+    /// The value at solids fraction `solids_fraction` and filter width `filter_width_scaled` =
+    /// Δ_f/L, both clamped to the valid ranges. NaN for a model whose form is unknown, which
+    /// loading refuses.
+    pub fn evaluate(&self, solids_fraction: f64, filter_width_scaled: f64) -> f64 {
+        let markers = self.clamped(solids_fraction, filter_width_scaled);
+        forms::form(&self.form).map_or(f64::NAN, |form| form.predict(&self.values(), &markers))
+    }
+
+    /// The value as for [`evaluate`](Self::evaluate), with its error: variance gᵀ C g, g the
+    /// gradient by the coefficients and C their covariance.
+    pub fn evaluate_with_error(&self, solids_fraction: f64, filter_width_scaled: f64) -> Estimate {
+        let Some(form) = forms::form(&self.form) else {
+            let nan = f64::NAN;
+            return Estimate { value: nan, standard_error: nan, low_95: nan, high_95: nan };
+        };
+        let markers = self.clamped(solids_fraction, filter_width_scaled);
+        let values = self.values();
+        let value = form.predict(&values, &markers);
+        let mut gradient = vec![0.0; values.len()];
+        form.gradient(&values, &markers, &mut gradient);
+        let mut variance = 0.0;
+        for (row, a) in self.covariance.iter().zip(&gradient) {
+            for (covariance, b) in row.iter().zip(&gradient) {
+                variance += a * covariance * b;
+            }
+        }
+        // Round-off can leave a variance of zero slightly negative.
+        let standard_error = variance.max(0.0).sqrt();
+        let half = student_quantile(self.goodness.degrees_of_freedom) * standard_error;
+        let (least, greatest) = form.image();
+        Estimate {
+            value,
+            standard_error,
+            low_95: (value - half).max(least),
+            high_95: (value + half).min(greatest),
+        }
+    }
+
+    /// Largest deviation from the test vectors.
+    pub fn check_test_vectors(&self) -> f64 {
+        self.test_vectors
+            .iter()
+            .map(|v| (self.evaluate(v.solids_fraction, v.filter_width) - v.expected).abs())
+            .fold(0.0, |a, b| if b.is_nan() || b > a { b } else { a })
+    }
+
+    /// Whether a point lies inside the valid ranges.
+    pub fn is_inside(&self, solids_fraction: f64, filter_width_scaled: f64) -> bool {
+        self.clamped(solids_fraction, filter_width_scaled)
+            == self.markers(solids_fraction, filter_width_scaled)
+    }
+
+    /// Ends of the valid range of a marker; everything if the form does not have it.
+    pub fn range(&self, marker: Marker) -> (f64, f64) {
+        self.ranges
+            .iter()
+            .find(|range| range.marker == marker)
+            .map_or((0.0, f64::INFINITY), |range| (range.low, range.high))
+    }
+
+    fn values(&self) -> Vec<f64> {
+        self.coefficients.iter().map(|c| c.value).collect()
+    }
+
+    fn markers(&self, solids_fraction: f64, filter_width_scaled: f64) -> Vec<f64> {
+        self.ranges
+            .iter()
+            .map(|range| match range.marker {
+                Marker::SolidsFraction => solids_fraction,
+                Marker::FilterWidth => filter_width_scaled,
+            })
+            .collect()
+    }
+
+    fn clamped(&self, solids_fraction: f64, filter_width_scaled: f64) -> Vec<f64> {
+        let mut markers = self.markers(solids_fraction, filter_width_scaled);
+        for (marker, range) in markers.iter_mut().zip(&self.ranges) {
+            *marker = marker.clamp(range.low, range.high);
+        }
+        markers
+    }
+}
+
+/// Scaled filter widths of a closure table, beside those of the run.
+const TABLE_WIDTHS: [f64; 15] =
+    [0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0];
+
+/// The closure table of a model, which a coarse solver interpolates: a full grid of solids
+/// fractions 0, 0.01, ... up to the end of the valid range, for each of the run's filter widths
+/// `widths` \[m\] and for round scaled widths inside the valid range.
+pub fn closure_rows(model: &Model, widths: &[f64]) -> Vec<ClosureRow> {
+    let length = model.system.length(model.reference_length);
+    let (narrowest, widest) = model.range(Marker::FilterWidth);
+    let mut widths = widths.to_vec();
+    for width in TABLE_WIDTHS {
+        // A round width next to one of the run's would only give a solver a tiny interval.
+        let near = |other: &f64| (other / (width * length) - 1.0).abs() < 0.05;
+        if (narrowest..=widest).contains(&width) && !widths.iter().any(near) {
+            widths.push(width * length);
+        }
+    }
+    widths.sort_by(f64::total_cmp);
+    widths.dedup();
+    let densest = model.range(Marker::SolidsFraction).1.min(1.0);
+    let mut rows = Vec::new();
+    for width in widths {
+        // Metres over metres may miss the end of the range by a rounding.
+        let mut scaled = width / length;
+        for end in [narrowest, widest] {
+            if (scaled / end - 1.0).abs() < 1e-12 {
+                scaled = end;
+            }
+        }
+        for i in 0..=(densest * 100.0 + 1e-9) as usize {
+            let solids_fraction = i as f64 / 100.0;
+            let estimate = model.evaluate_with_error(solids_fraction, scaled);
+            rows.push(ClosureRow {
+                quantity: model.predicts.clone(),
+                unit: model.unit.clone(),
+                origin: Origin::Fit,
+                filter_width: width,
+                filter_width_l_i: width / model.system.length_i,
+                filter_width_l_ii: width / model.system.length_ii,
+                solids_fraction,
+                value: estimate.value,
+                standard_error: estimate.standard_error,
+                low_95: estimate.low_95,
+                high_95: estimate.high_95,
+                // The last round fraction may exceed the end by a rounding too.
+                inside_range: model.is_inside(solids_fraction.min(densest), scaled),
+            });
+        }
+    }
+    rows
+}
+
+/// Closure rows of binned quantities that have no form, such as the filtered solids viscosity: the
+/// bins as they are, at their mean solids fraction.
+pub fn binned_closure_rows(bins: &[BinRow]) -> Vec<ClosureRow> {
+    bins.iter()
+        .map(|bin| ClosureRow {
+            quantity: bin.quantity.clone(),
+            unit: bin.unit.clone(),
+            origin: Origin::Bins,
+            filter_width: bin.filter_width,
+            filter_width_l_i: bin.filter_width_l_i,
+            filter_width_l_ii: bin.filter_width_l_ii,
+            solids_fraction: bin.solids_fraction,
+            value: bin.value,
+            standard_error: bin.standard_error,
+            low_95: bin.low_95,
+            high_95: bin.high_95,
+            inside_range: true,
+        })
+        .collect()
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::fit::tests::{PLANTED, WIDTHS, fitted, synthetic};
+    use crate::forms::SaturatingDrag;
+    use crate::laws::scales::tests::{GAS, POWDER};
+    use proptest::prelude::*;
+
+    /// A model of the planted parameters with noise.
+    pub(crate) fn model() -> Model {
+        let scales = Scales::new(&POWDER, &GAS, 9.81);
+        Model::new(
+            "base-drag",
+            &fitted(&synthetic(&WIDTHS, 0.58, 0.02, 1)),
+            Source { reference: "default".into(), version: "0.1.0".into(), seed: Some(7) },
+            System::new(&POWDER, &GAS, &scales),
+            Definitions::favre("wen-yu"),
+        )
+    }
+
+    fn text(model: &Model) -> String {
+        let mut bytes = Vec::new();
+        model.save(&mut bytes).unwrap();
+        String::from_utf8(bytes).unwrap()
+    }
+
+    fn parsed(text: &str) -> Result<Model, ModelError> {
+        Model::parse(text, Path::new("model.toml"))
+    }
+
+    fn message(text: &str) -> String {
+        parsed(text).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn files_round_trip_bit_for_bit() {
+        let model = model();
+        let again = parsed(&text(&model)).unwrap();
+        assert_eq!(again, model);
+        for (a, b) in model.coefficients.iter().zip(&again.coefficients) {
+            assert_eq!(a.value.to_bits(), b.value.to_bits());
+        }
+        assert_eq!(text(&again), text(&model));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model.toml");
+        std::fs::write(&path, text(&model)).unwrap();
+        assert_eq!(Model::load(&path).unwrap(), model);
+    }
+
+    #[test]
+    fn test_vectors_cover_both_sides_of_the_ranges() {
+        let model = model();
+        assert_eq!(model.test_vectors.len(), 30);
+        assert_eq!(model.check_test_vectors(), 0.0);
+        let outside = |v: &&TestVector| !model.is_inside(v.solids_fraction, v.filter_width);
+        assert!(model.test_vectors.iter().filter(outside).count() >= 12);
+        let mut other = model.clone();
+        other.coefficients[2].value *= 1.01;
+        assert!(other.check_test_vectors() > 1e-3);
+    }
+
+    #[test]
+    fn markers_are_clamped_outside_the_ranges() {
+        let model = model();
+        assert_eq!(model.evaluate(0.2, 1e3), model.evaluate(0.2, 16.0));
+        assert_eq!(model.evaluate(0.2, 0.0), model.evaluate(0.2, 1.0));
+        let densest = model.range(Marker::SolidsFraction).1;
+        assert_eq!(model.evaluate(0.9, 4.0), model.evaluate(densest, 4.0));
+        assert_eq!(model.evaluate(-1.0, 4.0), 0.0);
+        assert!(model.is_inside(0.2, 4.0));
+        assert!(!model.is_inside(0.2, 17.0) && !model.is_inside(0.6, 4.0));
+    }
+
+    #[test]
+    fn intervals_of_the_curve_cover_the_planted_one() {
+        let points = [[0.05, 1.0], [0.1, 4.0], [0.3, 2.0], [0.4, 16.0], [0.5, 8.0]];
+        let mut covered = [0; 5];
+        let scales = Scales::new(&POWDER, &GAS, 9.81);
+        for seed in 0..100 {
+            let model = Model::new(
+                "replica",
+                &fitted(&synthetic(&WIDTHS, 0.58, 0.02, 1000 + seed)),
+                Source { reference: "synthetic".into(), version: "0".into(), seed: Some(seed) },
+                System::new(&POWDER, &GAS, &scales),
+                Definitions::favre("wen-yu"),
+            );
+            for (count, point) in covered.iter_mut().zip(&points) {
+                let exact = SaturatingDrag.predict(&PLANTED, point);
+                let found = model.evaluate_with_error(point[0], point[1]);
+                assert!(0.0 <= found.low_95 && found.high_95 <= 1.0);
+                *count += u32::from(found.low_95 <= exact && exact <= found.high_95);
+            }
+        }
+        assert!(covered.iter().all(|c| (88..=99).contains(c)), "{covered:?}");
+    }
+
+    #[test]
+    fn each_bad_file_is_refused_with_its_reason() {
+        let good = text(&model());
+        assert!(parsed(&good).is_ok());
+        let swap = |from: &str, to: &str| {
+            assert!(good.contains(from), "{from} is not in the file");
+            message(&good.replacen(from, to, 1))
+        };
+        assert_eq!(
+            swap("form = \"saturating_drag\"", "form = \"cubic\""),
+            "model.toml: form = \"cubic\" is unknown; known: saturating_drag"
+        );
+        let unknown = swap("outside =", "beyond =");
+        assert!(unknown.contains("unknown field `beyond`"), "{unknown}");
+        assert!(unknown.contains("line 7"), "{unknown}");
+        let behaviour = swap("outside = \"clamp\"", "outside = \"hope\"");
+        assert!(behaviour.contains("unknown variant `hope`, expected `clamp`"), "{behaviour}");
+        assert_eq!(
+            swap("predicts = \"drag_correction\"", "predicts = \"slip\""),
+            "model.toml: predicts is \"slip\", but the form `saturating_drag` needs \
+             \"drag_correction\""
+        );
+        let renamed = swap("name = \"plateau\"", "name = \"h_max\"");
+        assert!(renamed.contains("coefficients is [half_width, rise_fraction, h_max"), "{renamed}");
+
+        let spoil = |change: &dyn Fn(&mut Model)| {
+            let mut bad = model();
+            change(&mut bad);
+            message(&text(&bad))
+        };
+        assert_eq!(
+            spoil(&|m| m.coefficients[2].value = 1.5),
+            "model.toml: coefficient plateau is 1.5, but the form `saturating_drag` needs a value \
+             inside Between(0.0, 1.0)"
+        );
+        assert_eq!(
+            spoil(&|m| m.ranges.truncate(1)),
+            "model.toml: ranges is [SolidsFraction], but the form `saturating_drag` needs one \
+             range for each of [SolidsFraction, FilterWidth]"
+        );
+        assert_eq!(
+            spoil(&|m| m.ranges[1].low = 99.0),
+            "model.toml: range of FilterWidth is 99 to 16, but the form `saturating_drag` needs \
+             0 ≤ low ≤ high"
+        );
+        assert!(spoil(&|m| m.covariance.truncate(5)).contains("needs 6 rows of 6 numbers"));
+        assert!(
+            spoil(&|m| m.test_vectors.clear()).starts_with("model.toml: test_vectors is empty")
+        );
+        let moved = spoil(&|m| m.test_vectors[7].expected += 1e-9);
+        assert!(moved.starts_with("model.toml: test vector 8 (solids_fraction 0.1"), "{moved}");
+        assert!(spoil(&|m| m.test_vectors[0].expected = f64::NAN).contains("test vector 1"));
+        let absent = Model::load(Path::new("no/such/model.toml")).unwrap_err().to_string();
+        assert!(absent.starts_with("no/such/model.toml: "), "{absent}");
+    }
+
+    #[test]
+    fn closure_rows_are_a_full_grid_of_run_and_round_widths() {
+        let model = model();
+        let length = model.system.length_i;
+        let run: Vec<f64> = WIDTHS.iter().map(|w| w * length).collect();
+        let rows = closure_rows(&model, &run);
+        // 1, 1.5, 2, 3, 4, 6, 8, 12, 16 times 0 to 0.58.
+        assert_eq!(rows.len(), 9 * 59);
+        assert!(rows.iter().all(|r| r.inside_range));
+        assert!(rows.windows(2).all(|r| {
+            (r[0].filter_width, r[0].solids_fraction) < (r[1].filter_width, r[1].solids_fraction)
+        }));
+        for row in &rows {
+            let scaled = row.filter_width_l_i.clamp(1.0, 16.0);
+            let deviation = row.value - model.evaluate(row.solids_fraction, scaled);
+            assert!(deviation.abs() < 1e-13);
+            assert!(row.low_95 <= row.value && row.value <= row.high_95);
+        }
+        let beyond = closure_rows(&model, &[40.0 * length]);
+        assert!(!beyond.last().unwrap().inside_range);
+        let mut bytes = Vec::new();
+        crate::table::write_rows(&rows, &mut bytes).unwrap();
+        let header = String::from_utf8(bytes).unwrap();
+        assert!(header.starts_with(
+            "quantity,unit,origin,filter_width [m],filter_width/L_I [-],filter_width/L_II [-],\
+             solids_fraction [-],value,standard_error,low_95,high_95,inside_range\n\
+             drag_correction,-,fit,"
+        ));
+    }
+
+    #[test]
+    fn binned_quantities_pass_through() {
+        let bins = synthetic(&[2.0], 0.1, 0.01, 1);
+        let rows = binned_closure_rows(&bins);
+        assert_eq!(rows.len(), bins.len());
+        assert_eq!((rows[3].origin, rows[3].value), (Origin::Bins, bins[3].value));
+    }
+
+    proptest! {
+        #[test]
+        fn values_round_trip_through_toml(value in any::<f64>(), expected in 0.0..1.0) {
+            prop_assume!(value.is_finite());
+            let vector = TestVector { solids_fraction: value, filter_width: 1.0, expected };
+            let text = toml::to_string(&vector).unwrap();
+            let again: TestVector = toml::from_str(&text).unwrap();
+            prop_assert_eq!(again.solids_fraction.to_bits(), value.to_bits());
+            prop_assert_eq!(again.expected.to_bits(), expected.to_bits());
+        }
+    }
+}
