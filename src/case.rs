@@ -34,6 +34,7 @@
 //! with a file is reported at once, each [`Problem`] with key, value, line and what is accepted.
 
 mod file;
+mod resolve;
 
 use std::fmt::{self, Write as _};
 use std::fs::File;
@@ -42,24 +43,11 @@ use std::path::{Path, PathBuf};
 
 use crate::laws::scales::{Gas, Powder, Scales};
 pub use file::Problem;
-use file::{CaseFile, DomainFile, FilterFile, Kind, Problems, Quantity, RunFile, Typed, Unit};
+use file::{Kind, Problems, Quantity};
+use resolve::{FEWEST_SAMPLES, TIME_EXPECTED, WHOLE, is_time, resolve};
 
 /// The case that `favre run` computes when none is given: the founding paper's powder in air.
 pub const DEFAULT: &str = include_str!("../examples/default.toml");
-
-/// Fewest cells along an edge: the smallest grid on which a filter of four cells is at most half
-/// the box.
-const FEWEST_CELLS: u64 = 8;
-
-/// Most cells of a box: a run of this size takes hundreds of gigabytes, so more is a slip of the
-/// pen, better refused here than by the memory allocator.
-const MOST_CELLS: u64 = 1 << 30;
-
-/// How far a ratio of lengths may be from a whole number and still count as one, relatively.
-const WHOLE: f64 = 1e-6;
-
-/// Samples that a run must have room for: statistics by blocks of time need some.
-const FEWEST_SAMPLES: f64 = 20.0;
 
 /// Largest case file read [bytes]: anything longer is not a case file.
 const LONGEST_FILE: u64 = 1 << 20;
@@ -429,566 +417,249 @@ impl Domain {
 /// A choice, or a list of choices, as it is typed in a case file.
 fn quoted<T: serde::Serialize>(choice: &T) -> String {
     // JSON's strings and lists of plain names are TOML's too.
-    serde_json::to_string(choice).expect("a choice is a name")
+    serde_json::to_string(choice).expect("a choice is a name").replace(',', ", ")
 }
 
-const TIME_EXPECTED: &str = "a time above 0 and at most 1e9 s is accepted";
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
 
-fn is_time(seconds: f64) -> bool {
-    seconds > 0.0 && seconds <= 1e9
-}
+    /// A case with every key but `cell`, at its default where it has one.
+    const TEXT: &str = r#"[powder]
+diameter = 75e-6
+density = 1500.0
+restitution = 0.9
+max_packing = 0.65
+[gas]
+density = 1.3
+viscosity = 1.8e-5
+[box]
+size = [0.16, 0.16]
+cells = [128, 128]
+solids_fraction = [0.05, 0.15, 0.25, 0.35]
+[physics]
+drag = "wen-yu"
+granular_energy = "transport"
+gravity = 9.81
+[filter]
+widths = [0.005, 0.01, 0.02, 0.04]
+markers = ["solids_fraction"]
+solids_fraction_bin = 0.02
+slip_bin = "0.25 u_t"
+[run]
+duration = "200 u_t/g"
+sample_interval = "0.5 u_t/g"
+seed = 1
+perturbation = 0.05
+precision = "f64"
+"#;
 
-/// The value where it is acceptable; else notes what would be.
-fn accept(
-    typed: Option<&Typed<f64>>,
-    accepted: impl Fn(f64) -> bool,
-    expected: &str,
-    problems: &mut Problems<'_>,
-) -> Option<f64> {
-    let typed = typed?;
-    if accepted(typed.value) {
-        Some(typed.value)
-    } else {
-        problems.refuse(typed, format!("{expected} is accepted"));
-        None
+    fn text_with(from: &str, to: &str) -> Result<Case, CaseError> {
+        assert!(TEXT.contains(from), "{from} is not in the text");
+        Case::parse(&TEXT.replacen(from, to, 1), "test")
     }
-}
 
-/// Turns what was typed into a case; none if anything is missing or wrong, which is then among the
-/// problems.
-fn resolve(file: &CaseFile, name: &str, problems: &mut Problems<'_>) -> Option<Case> {
-    let powder = resolve_powder(file, problems);
-    let gas = resolve_gas(file, problems);
-    let gravity = match &file.physics.gravity {
-        None => Some(9.81),
-        typed => accept(
-            typed.as_ref(),
-            |g| (1e-3..=1e4).contains(&g),
-            "a number from 1e-3 to 1e4 m/s², positive: it points down the last axis,",
-            problems,
-        ),
-    };
-    // A gas as heavy as the powder has no terminal velocity, so no scales either.
-    let scales = match (&powder, &gas, gravity) {
-        (Some(powder), Some(gas), Some(gravity)) => Some(Scales::new(powder, gas, gravity)),
-        _ => None,
-    };
-    let max_packing = file.powder.max_packing.as_ref().map(|typed| typed.value);
-    let perturbation = match &file.run.perturbation {
-        None => Some(0.05),
-        typed => {
-            accept(typed.as_ref(), |p| (0.0..=0.5).contains(&p), "a number from 0 to 0.5", problems)
+    /// The one problem of the text with `from` replaced by `to`.
+    fn problem(from: &str, to: &str) -> Problem {
+        match text_with(from, to) {
+            Err(CaseError::Invalid { mut problems, .. }) if problems.len() == 1 => {
+                problems.remove(0)
+            }
+            other => panic!("{to}: {other:?}"),
         }
-    };
-    let diameter = powder.as_ref().map(|powder| powder.diameter);
-    let domain = resolve_domain(&file.domain, scales.as_ref(), diameter, problems);
-    let fractions = resolve_fractions(&file.domain, max_packing, perturbation, problems);
-    let filter =
-        resolve_filter(&file.filter, domain.as_ref(), scales.as_ref(), max_packing, problems);
-    let run = resolve_run(&file.run, scales.as_ref(), perturbation, problems);
-    let (size, cells) = domain?;
-    Some(Case {
-        name: name.to_owned(),
-        powder: powder?,
-        gas: gas?,
-        domain: Domain { size, cells, solids_fractions: fractions? },
-        physics: Physics {
-            drag: file.physics.drag.as_ref().map_or(DragChoice::WenYu, |typed| typed.value),
-            granular_energy: file
-                .physics
-                .granular_energy
-                .as_ref()
-                .map_or(GranularEnergyChoice::Transport, |typed| typed.value),
-            gravity: gravity?,
-        },
-        filter: filter?,
-        run: run?,
-    })
-}
-
-fn resolve_powder(file: &CaseFile, problems: &mut Problems<'_>) -> Option<Powder> {
-    let typed = &file.powder;
-    let diameter = typed.diameter.as_ref().and_then(|typed| {
-        let metres = typed.value.si(None).filter(|d| (1e-7..=0.1).contains(d));
-        if metres.is_none() {
-            problems.refuse(
-                typed,
-                "a diameter from 1e-7 to 0.1 is accepted, in metres, or text such as \"75 um\"",
-            );
-        }
-        metres
-    });
-    let density = accept(
-        typed.density.as_ref(),
-        |rho| (1.0..=3e4).contains(&rho),
-        "the density of one particle, from 1 to 30000 kg/m³,",
-        problems,
-    );
-    let restitution = accept(
-        typed.restitution.as_ref(),
-        |e| e > 0.0 && e <= 1.0,
-        "a number above 0 and at most 1",
-        problems,
-    );
-    let max_packing = accept(
-        typed.max_packing.as_ref(),
-        |phi| phi > 0.0 && phi <= 0.74,
-        "a number above 0 and at most 0.74, the densest packing of equal spheres,",
-        problems,
-    );
-    Some(Powder {
-        diameter: diameter?,
-        density: density?,
-        restitution: restitution?,
-        max_packing: max_packing?,
-    })
-}
-
-fn resolve_gas(file: &CaseFile, problems: &mut Problems<'_>) -> Option<Gas> {
-    let density = accept(
-        file.gas.density.as_ref(),
-        |rho| (1e-6..=2e3).contains(&rho),
-        "a number from 1e-6 to 2000 kg/m³",
-        problems,
-    );
-    let viscosity = accept(
-        file.gas.viscosity.as_ref(),
-        |mu| (1e-8..=1.0).contains(&mu),
-        "a number from 1e-8 to 1 Pa·s (air: 1.8e-5)",
-        problems,
-    );
-    if let (Some(gas), Some(powder)) = (&file.gas.density, &file.powder.density)
-        && density.is_some()
-        && gas.value >= powder.value
-    {
-        problems.refuse(
-            gas,
-            format!("a gas lighter than the powder, below {} kg/m³, is accepted", powder.value),
-        );
-        return None;
     }
-    Some(Gas { density: density?, viscosity: viscosity? })
-}
 
-/// Edge lengths and cells along each.
-fn resolve_domain(
-    file: &DomainFile,
-    scales: Option<&Scales>,
-    diameter: Option<f64>,
-    problems: &mut Problems<'_>,
-) -> Option<(Vec<f64>, Vec<usize>)> {
-    let size = file.size.as_ref().and_then(|typed| resolve_size(typed, scales, problems));
-    let axes = size.as_ref().map(Vec::len);
-    let cells = match (&file.cells, &file.cell) {
-        (Some(_), Some(cell)) => {
-            problems.refuse(cell, "cells is given as well: keep one of the two");
-            None
-        }
-        (Some(cells), None) => resolve_cells(cells, axes, problems),
-        (None, Some(cell)) => resolve_cell(cell, file, size.as_deref(), scales, problems),
-        (None, None) => None,
-    };
-    let (size, cells) = (size?, cells?);
-    if let Some(diameter) = diameter {
-        for (axis, (size, cells)) in size.iter().zip(&cells).enumerate() {
-            let spacing = size / *cells as f64;
-            if spacing < diameter * (1.0 - WHOLE) {
-                let typed = file.size.as_ref()?.value.get(axis)?;
-                problems.refuse(
-                    typed,
-                    format!(
-                        "a cell would be {spacing:.3e} m long, less than one particle of \
-                         {diameter:.3e} m, and a continuum of particles has no meaning there: \
-                         sizes are in metres; with {cells} cells accepted is from {:.3e} m",
-                        diameter * *cells as f64
-                    ),
-                );
-                return None;
+    #[test]
+    fn the_default_case_is_the_founding_papers_powder_and_needs_no_warning() {
+        let case = Case::parse(DEFAULT, "default").unwrap();
+        assert_eq!(case.powder, crate::laws::scales::tests::POWDER);
+        assert_eq!(case.gas, crate::laws::scales::tests::GAS);
+        assert_eq!(case.warnings(), [""; 0]);
+    }
+
+    #[test]
+    fn lengths_and_times_are_resolved_to_si() {
+        let case = Case::parse(TEXT, "x").unwrap();
+        assert_eq!((case.name.as_str(), case.dimension()), ("x", 2));
+        assert_eq!(case.filter.widths, [0.005, 0.01, 0.02, 0.04]);
+        assert!((case.run.duration - 200.0 * 0.218_46 / 9.81).abs() < 1e-4);
+        let text = TEXT
+            .replace("[0.16, 0.16]", "[\"32 L_I\", \"64 L_I\"]")
+            .replace("[128, 128]", "[128, 256]")
+            .replace("[0.005, 0.01, 0.02, 0.04]", "[\"4 L_I\", \"2 L_I\"]");
+        let case = Case::parse(&text, "x").unwrap();
+        let l_i = case.scales().length_i();
+        assert_eq!(case.domain.size, [32.0 * l_i, 64.0 * l_i]);
+        assert_eq!(case.filter.widths, [2.0 * l_i, 4.0 * l_i]);
+        let text = TEXT.replace("[0.16, 0.16]", "[\"2000 d\", \"15 cm\"]").replace("widths =", "#");
+        assert_eq!(Case::parse(&text, "x").unwrap().domain.size, [0.15, 0.15]);
+    }
+
+    #[test]
+    fn the_default_case_names_every_key_but_the_alternative_one() {
+        for (section, keys) in file::SECTIONS {
+            assert!(DEFAULT.contains(&format!("[{section}]")));
+            for key in keys.iter().filter(|key| **key != "cell") {
+                assert!(DEFAULT.contains(&format!("\n{key} = ")), "{key}");
             }
         }
     }
-    Some((size, cells))
-}
 
-fn resolve_size(
-    typed: &Typed<Vec<Typed<Quantity>>>,
-    scales: Option<&Scales>,
-    problems: &mut Problems<'_>,
-) -> Option<Vec<f64>> {
-    if !(2..=3).contains(&typed.value.len()) {
-        problems.refuse(
-            typed,
-            format!(
-                "{} given; two edges (2-D) or three (3-D) are accepted, the last one vertical",
-                plural(typed.value.len(), "edge")
-            ),
-        );
-        return None;
-    }
-    let mut size = Vec::with_capacity(3);
-    let mut complete = true;
-    for edge in &typed.value {
-        match edge.value.si(scales) {
-            Some(metres) if metres > 0.0 && metres <= 1e9 => size.push(metres),
-            Some(_) => {
-                problems.refuse(edge, "a length above 0 and at most 1e9 m is accepted");
-                complete = false;
-            }
-            None => complete = false,
-        }
-    }
-    complete.then_some(size)
-}
-
-fn resolve_cells(
-    typed: &Typed<Vec<Typed<u64>>>,
-    axes: Option<usize>,
-    problems: &mut Problems<'_>,
-) -> Option<Vec<usize>> {
-    if let Some(axes) = axes
-        && typed.value.len() != axes
-    {
-        problems.refuse(
-            typed,
-            format!(
-                "{} given and size has {}: one number for each edge is accepted",
-                plural(typed.value.len(), "number"),
-                plural(axes, "edge")
-            ),
-        );
-        return None;
-    }
-    let mut sound = true;
-    for count in &typed.value {
-        if count.value < FEWEST_CELLS || count.value % 2 == 1 {
-            problems.refuse(count, format!("an even number from {FEWEST_CELLS} is accepted"));
-            sound = false;
-        }
-    }
-    let product = typed.value.iter().try_fold(1u64, |product, n| product.checked_mul(n.value));
-    if sound && product.is_none_or(|product| product > MOST_CELLS) {
-        problems.refuse(typed, format!("at most {MOST_CELLS} cells in all are accepted"));
-        sound = false;
-    }
-    sound.then(|| typed.value.iter().map(|count| count.value as usize).collect())
-}
-
-/// Cells along each edge from the edge of one cell.
-fn resolve_cell(
-    typed: &Typed<Quantity>,
-    file: &DomainFile,
-    size: Option<&[f64]>,
-    scales: Option<&Scales>,
-    problems: &mut Problems<'_>,
-) -> Option<Vec<usize>> {
-    let edge = typed.value.si(scales)?;
-    if edge <= 0.0 {
-        problems.refuse(typed, "a length above 0 is accepted");
-        return None;
-    }
-    let (size, typed_size) = (size?, file.size.as_ref()?);
-    let mut cells = Vec::with_capacity(3);
-    let mut sound = true;
-    let fewest = FEWEST_CELLS as f64;
-    for (length, typed) in size.iter().zip(&typed_size.value) {
-        let ratio = length / edge;
-        let whole = ratio.round();
-        if (ratio - whole).abs() > WHOLE * whole || whole % 2.0 != 0.0 || whole < fewest {
-            let below = (2.0 * (0.5 * ratio).floor()).max(fewest);
-            let above = if below > ratio { below } else { below + 2.0 };
-            let choice = if above > below {
-                format!("{} m or {} m", significant(below * edge), significant(above * edge))
-            } else {
-                format!("{} m", significant(above * edge))
-            };
-            problems.refuse(
-                typed,
-                format!(
-                    "this edge has {} cells of {} m and an even whole number of at least \
-                     {FEWEST_CELLS} is needed: accepted nearest are {choice}, or another cell",
-                    significant(ratio),
-                    significant(edge)
-                ),
-            );
-            sound = false;
-        }
-        cells.push(whole);
-    }
-    if sound && cells.iter().product::<f64>() > MOST_CELLS as f64 {
-        problems.refuse(typed, format!("at most {MOST_CELLS} cells in all are accepted"));
-        sound = false;
-    }
-    sound.then(|| cells.into_iter().map(|count| count as usize).collect())
-}
-
-fn resolve_fractions(
-    file: &DomainFile,
-    max_packing: Option<f64>,
-    perturbation: Option<f64>,
-    problems: &mut Problems<'_>,
-) -> Option<Vec<f64>> {
-    let typed = &file.solids_fraction.as_ref()?.value;
-    let highest = max_packing.unwrap_or(0.74);
-    let mut sound = true;
-    for (n, fraction) in typed.iter().enumerate() {
-        let phi = fraction.value;
-        let why = if phi <= 0.0 || phi >= highest {
-            format!("a number above 0 and below max_packing = {highest} is accepted")
-        } else if typed[..n].iter().any(|earlier| earlier.value == phi) {
-            "given twice: one box is simulated for each solids fraction".to_owned()
-        } else if perturbation.is_some_and(|p| phi * (1.0 + p) >= highest) {
-            let p = perturbation.unwrap_or_default();
-            format!(
-                "with the perturbation of {p} it passes max_packing = {highest}: below {} is \
-                 accepted, or a smaller perturbation in [run]",
-                significant(highest / (1.0 + p))
-            )
-        } else {
-            continue;
-        };
-        problems.refuse(fraction, why);
-        sound = false;
-    }
-    sound.then(|| typed.iter().map(|fraction| fraction.value).collect())
-}
-
-fn resolve_filter(
-    file: &FilterFile,
-    domain: Option<&(Vec<f64>, Vec<usize>)>,
-    scales: Option<&Scales>,
-    max_packing: Option<f64>,
-    problems: &mut Problems<'_>,
-) -> Option<FilterCase> {
-    let widths = domain.and_then(|(size, cells)| {
-        let possible = PossibleWidths::new(size, cells);
-        match &file.widths {
-            Some(typed) => resolve_widths(&typed.value, &possible, scales, problems),
-            None => default_widths(&possible, problems),
-        }
-    });
-    let markers = match &file.markers {
-        None => Some(vec![MarkerChoice::SolidsFraction]),
-        Some(typed) => resolve_markers(typed, problems),
-    };
-    let solids_fraction_bin = match &file.solids_fraction_bin {
-        None => Some(0.02),
-        typed => {
-            let highest = max_packing.unwrap_or(0.74);
-            accept(
-                typed.as_ref(),
-                |bin| (1e-4..=highest).contains(&bin),
-                &format!("a number from 1e-4 to max_packing = {highest}"),
-                problems,
-            )
-        }
-    };
-    let slip_bin = match &file.slip_bin {
-        None => Some(0.25),
-        Some(typed) => {
-            let scaled = match typed.value {
-                Quantity { number, unit: Unit::TerminalVelocity } => Some(number),
-                other => scales.and_then(|scales| {
-                    other.si(None).map(|velocity| velocity / scales.terminal_velocity)
-                }),
-            };
-            if scaled.is_some_and(|scaled| !(1e-3..=10.0).contains(&scaled)) {
-                let u_t = scales.map_or(String::new(), |scales| {
-                    format!(" (u_t is {:.4} m/s)", scales.terminal_velocity)
-                });
-                problems.refuse(typed, format!("from 0.001 u_t to 10 u_t is accepted{u_t}"));
-                None
-            } else {
-                scaled
-            }
-        }
-    };
-    Some(FilterCase {
-        widths: widths?,
-        markers: markers?,
-        solids_fraction_bin: solids_fraction_bin?,
-        slip_bin: slip_bin?,
-    })
-}
-
-fn resolve_markers(
-    typed: &Typed<Vec<Typed<MarkerChoice>>>,
-    problems: &mut Problems<'_>,
-) -> Option<Vec<MarkerChoice>> {
-    let mut markers: Vec<_> = typed.value.iter().map(|marker| marker.value).collect();
-    for (n, marker) in typed.value.iter().enumerate() {
-        if markers[..n].contains(&marker.value) {
-            problems.refuse(marker, "given twice: each marker is accepted once");
-            return None;
-        }
-    }
-    let Some(place) = markers.iter().position(|marker| *marker == MarkerChoice::SolidsFraction)
-    else {
-        problems.refuse(
-            typed,
-            "\"solids_fraction\" is always a marker: [\"solids_fraction\", \"slip\"] is accepted",
-        );
-        return None;
-    };
-    markers.swap(0, place);
-    Some(markers)
-}
-
-/// The widths that are a whole number of cells along every axis, from two cells to half the box.
-struct PossibleWidths {
-    /// Edge of a cell along each axis [m].
-    spacing: Vec<f64>,
-    /// The widths [m], ascending.
-    widths: Vec<f64>,
-}
-
-impl PossibleWidths {
-    fn new(size: &[f64], cells: &[usize]) -> Self {
-        let spacing: Vec<f64> = size.iter().zip(cells).map(|(size, n)| size / *n as f64).collect();
-        // Candidates are multiples of the cell along the axis with the fewest cells: any axis
-        // would do, and this one keeps the list short in long boxes.
-        let axis = (0..cells.len()).min_by_key(|axis| cells[*axis]).unwrap_or(0);
-        let (first, half) = (spacing[axis], cells[axis] / 2);
-        let whole = |width: f64| {
-            spacing.iter().zip(cells).all(|(spacing, cells)| {
-                let count = (width / spacing).round();
-                (width / spacing - count).abs() <= WHOLE * count
-                    && count >= 2.0
-                    && count <= (cells / 2) as f64
-            })
-        };
-        let widths = (2..=half).map(|n| n as f64 * first).filter(|width| whole(*width)).collect();
-        Self { spacing, widths }
+    #[test]
+    fn what_is_optional_has_the_documented_defaults() {
+        let start = TEXT.find("[physics]").unwrap();
+        let brief = Case::parse(&TEXT[..start], "default").unwrap();
+        assert_eq!(brief, Case::parse(TEXT, "default").unwrap());
     }
 
-    /// The possible width that equals `width` within round-off.
-    fn find(&self, width: f64) -> Option<f64> {
-        self.widths.iter().copied().find(|possible| (width / possible - 1.0).abs() <= WHOLE)
-    }
-
-    /// What is accepted near `width`, in words.
-    fn near(&self, width: f64) -> String {
-        let place = self.widths.partition_point(|possible| *possible < width);
-        let mut near = Vec::new();
-        near.extend(place.checked_sub(1).map(|below| self.widths[below]));
-        near.extend(self.widths.get(place));
-        let near: Vec<_> =
-            near.into_iter().map(|width| format!("{} m", significant(width))).collect();
-        if near.is_empty() {
-            format!("no width is: cells of {} m have none in common", self.cell())
-        } else {
-            format!("accepted nearest: {}", near.join(", "))
+    #[test]
+    fn a_resolved_case_reads_back_as_itself() {
+        for text in [
+            DEFAULT,
+            include_str!("../examples/base-case.toml"),
+            include_str!("../examples/box-3d.toml"),
+            include_str!("../examples/geldart-b.toml"),
+        ] {
+            let case = Case::parse(text, "x").unwrap();
+            assert_eq!(Case::parse(&case.to_toml(), "x").unwrap(), case);
         }
     }
 
-    /// Edges of a cell, in words.
-    fn cell(&self) -> String {
-        let edges: Vec<_> = self.spacing.iter().map(|edge| significant(*edge)).collect();
-        edges.join(" x ")
-    }
-}
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn any_resolved_case_reads_back_as_itself(
+            diameter in 10e-6..1e-3f64,
+            half_cells in 8usize..100,
+            cell in 1.0..9.0f64,
+            width in 2usize..8,
+            slip_bin in 0.01..5.0f64,
+            duration in 10.0..1000.0f64,
+        ) {
+            let cells = 2 * half_cells;
+            let (edge, width) = (cell * cells as f64, cell * width as f64);
+            let text = TEXT
+                .replace("75e-6", &format!("{diameter:?}"))
+                .replace("[0.16, 0.16]", &format!("[\"{edge:?} L_II\", \"{edge:?} L_II\"]"))
+                .replace("[128, 128]", &format!("[{cells}, {cells}]"))
+                .replace("[0.005, 0.01, 0.02, 0.04]", &format!("[\"{width:?} L_II\"]"))
+                .replace("0.25 u_t\"", &format!("{slip_bin:?} u_t\""))
+                .replace("200 u_t/g", &format!("{duration:?} u_t/g"));
+            let case = Case::parse(&text, "x").unwrap();
+            prop_assert_eq!(Case::parse(&case.to_toml(), "x").unwrap(), case);
+        }
 
-fn resolve_widths(
-    typed: &[Typed<Quantity>],
-    possible: &PossibleWidths,
-    scales: Option<&Scales>,
-    problems: &mut Problems<'_>,
-) -> Option<Vec<f64>> {
-    let mut widths: Vec<f64> = Vec::with_capacity(typed.len());
-    let mut sound = true;
-    for quantity in typed {
-        let width = quantity.value.si(scales)?;
-        match possible.find(width) {
-            Some(found) if widths.contains(&found) => {
-                problems.refuse(quantity, "given twice: each filter width is accepted once");
-                sound = false;
-            }
-            Some(found) => widths.push(found),
-            None => {
-                problems.refuse(
-                    quantity,
-                    format!(
-                        "a width is a whole number of cells ({} m) along every axis, from two \
-                         cells to half the box; {}",
-                        possible.cell(),
-                        possible.near(width)
-                    ),
-                );
-                sound = false;
+        #[test]
+        fn no_text_makes_the_reader_panic(at in 0usize..TEXT.len(), typed in "\\PC{0,8}") {
+            let mut text = TEXT.to_owned();
+            prop_assume!(text.is_char_boundary(at));
+            text.insert_str(at, &typed);
+            if let Err(error) = Case::parse(&text, "x") {
+                prop_assert!(error.to_string().starts_with("x"), "{}", error);
             }
         }
     }
-    widths.sort_by(f64::total_cmp);
-    sound.then_some(widths)
-}
 
-/// 4, 8, 16 and 32 of the longest cell edge, as far as they are possible.
-fn default_widths(possible: &PossibleWidths, problems: &mut Problems<'_>) -> Option<Vec<f64>> {
-    let edge = possible.spacing.iter().copied().fold(0.0, f64::max);
-    let widths: Vec<_> =
-        [4.0, 8.0, 16.0, 32.0].into_iter().filter_map(|n| possible.find(n * edge)).collect();
-    if widths.is_empty() {
-        let why = format!(
-            "missing, and none of the defaults (4, 8, 16, 32 cells of {} m) fits along every axis; {}",
-            possible.cell(),
-            possible.near(4.0 * edge)
-        );
-        problems.missing("[filter] widths".to_owned(), None, why);
-        return None;
+    #[test]
+    fn a_cell_edge_counts_the_cells() {
+        let case = text_with("cells = [128, 128]", "cell = \"1.25 mm\"").unwrap();
+        assert_eq!(case.domain.cells, [128, 128]);
+        let refused = problem("cells = [128, 128]", "cell = 1.25e-3\ncells = [128, 128]");
+        assert_eq!(refused.key, "[box] cell");
+        let case = text_with("cells = [128, 128]", "cell = 1.2e-3");
+        let Err(CaseError::Invalid { problems, .. }) = case else { panic!("{case:?}") };
+        // Both edges and no consequence of theirs.
+        assert_eq!(problems.len(), 2);
+        assert!(problems[0].why.contains("0.1584 m or 0.1608 m"), "{}", problems[0].why);
+        assert_eq!(problems[0].line, Some(10));
     }
-    Some(widths)
-}
 
-fn resolve_run(
-    file: &RunFile,
-    scales: Option<&Scales>,
-    perturbation: Option<f64>,
-    problems: &mut Problems<'_>,
-) -> Option<RunCase> {
-    let mut time = |typed: &Option<Typed<Quantity>>, default: f64| match typed {
-        None => scales.map(|scales| default * scales.time()),
-        Some(typed) => {
-            let seconds = typed.value.si(scales)?;
-            if !is_time(seconds) {
-                problems.refuse(typed, TIME_EXPECTED);
-                return None;
-            }
-            Some(seconds)
+    #[test]
+    fn widths_are_whole_along_every_axis_and_the_nearest_are_named() {
+        let refused = problem("0.005, 0.01,", "0.005, 0.012,");
+        assert!(refused.why.ends_with("accepted nearest: 0.01125 m, 0.0125 m"), "{}", refused.why);
+        let refused = problem("0.02, 0.04]", "0.02, 0.1]");
+        assert!(refused.why.ends_with("accepted nearest: 0.08 m"), "{}", refused.why);
+        let refused = problem("[0.005, ", "[0.00125, ");
+        assert!(refused.why.ends_with("accepted nearest: 0.0025 m"), "{}", refused.why);
+
+        // Cells of 1.25 mm x 1.875 mm have 3.75 mm in common.
+        let case = text_with("[0.16, 0.16]", "[0.16, 0.24]");
+        let Err(CaseError::Invalid { problems, .. }) = case else { panic!("{case:?}") };
+        assert_eq!(problems.len(), 4);
+        assert!(problems[0].why.ends_with("accepted nearest: 0.00375 m, 0.0075 m"));
+    }
+
+    #[test]
+    fn widths_by_default_are_those_that_fit() {
+        let text = &TEXT[..TEXT.find("[physics]").unwrap()];
+        let text = text.replace("[128, 128]", "[32, 24]").replace("[0.16, 0.16]", "[0.32, 0.24]");
+        let case = Case::parse(&text, "x").unwrap();
+        assert_eq!(case.filter.widths, [0.04, 0.08]);
+        let text = text.replace("[0.32, 0.24]", "[0.32, 0.2411]");
+        let error = Case::parse(&text, "x").unwrap_err().to_string();
+        assert!(error.contains("[filter] widths: missing"), "{error}");
+        assert!(error.contains("cells (0.01 x 0.0100458 m)"), "{error}");
+    }
+
+    #[test]
+    fn sizes_in_millimetres_are_warned_of_and_cells_below_a_particle_refused() {
+        let text = TEXT[..TEXT.find("[physics]").unwrap()].replace("[0.16, 0.16]", "[160, 160]");
+        let warnings = Case::parse(&text, "x").unwrap().warnings();
+        assert_eq!(warnings.len(), 1);
+        assert!(warnings[0].contains("is this in mm?"), "{warnings:?}");
+
+        let text = text.replace("[160, 160]", "[0.64, 0.64]");
+        let warnings = Case::parse(&text, "x").unwrap().warnings();
+        assert!(warnings[0].contains("16.6 L_II"), "{warnings:?}");
+
+        let refused = problem("[0.16, 0.16]", "[\"0.16 mm\", 0.16]");
+        assert!(refused.why.contains("less than one particle"), "{}", refused.why);
+        assert_eq!(refused.value.as_deref(), Some("\"0.16 mm\""));
+    }
+
+    #[test]
+    fn the_duration_can_be_replaced() {
+        let mut case = Case::parse(TEXT, "x").unwrap();
+        case.set_duration("20 u_t/g").unwrap();
+        assert!((case.run.duration / case.scales().time() - 20.0).abs() < 1e-12);
+        case.set_duration("3").unwrap();
+        assert_eq!(case.run.duration, 3.0);
+        case.set_duration("10 u_t/g").unwrap();
+        let before = case.clone();
+        for wrong in ["9 u_t/g", "-3", "0", "", "soon", "nan", "3 m"] {
+            let error = case.set_duration(wrong).unwrap_err().to_string();
+            assert!(error.starts_with(&format!("duration \"{wrong}\": ")), "{error}");
         }
-    };
-    let duration = time(&file.duration, 200.0);
-    let longest = duration.map(|duration| duration / FEWEST_SAMPLES);
-    let sample_interval = time(&file.sample_interval, 0.5);
-    let sample_interval = match (&file.sample_interval, sample_interval, longest) {
-        (Some(typed), Some(interval), Some(longest)) if interval > longest * (1.0 + WHOLE) => {
-            problems.refuse(
-                typed,
-                format!(
-                    "a run must be {FEWEST_SAMPLES} sample intervals long: with this duration at \
-                     most {} s is accepted",
-                    significant(longest)
-                ),
-            );
-            None
-        }
-        (None, Some(interval), Some(longest)) => Some(interval.min(longest)),
-        (_, interval, _) => interval,
-    };
-    Some(RunCase {
-        duration: duration?,
-        sample_interval: sample_interval?,
-        seed: file.seed.as_ref().map_or(1, |typed| typed.value),
-        perturbation: perturbation?,
-        precision: file.precision.as_ref().map_or(Precision::Double, |typed| typed.value),
-    })
-}
+        assert_eq!(case, before);
+    }
 
-/// A number in a message: six significant digits, without trailing zeros.
-fn significant(x: f64) -> String {
-    let rounded: f64 = format!("{x:.5e}").parse().unwrap_or(x);
-    if (1e-4..1e6).contains(&rounded.abs()) { format!("{rounded}") } else { format!("{rounded:e}") }
-}
+    #[test]
+    fn a_short_run_samples_often_enough_by_default() {
+        let refused = problem("\"200 u_t/g\"", "0.1");
+        assert_eq!(refused.key, "[run] sample_interval");
+        assert!(refused.why.ends_with("at most 0.005 s is accepted"), "{}", refused.why);
+        let line = "sample_interval = \"0.5 u_t/g\"";
+        let text = TEXT.replace("\"200 u_t/g\"", "0.1").replace(line, "");
+        assert_eq!(Case::parse(&text, "x").unwrap().run.sample_interval, 0.1 / 20.0);
+    }
 
-/// `1 edge`, `2 edges`.
-fn plural(count: usize, noun: &str) -> String {
-    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
+    #[test]
+    fn a_misspelt_key_or_section_is_one_problem() {
+        let key = problem("diameter = ", "diametre = ");
+        assert_eq!((key.line, key.key.as_str()), (Some(2), "[powder] diametre"));
+        assert!(key.why.contains("did you mean diameter?"));
+        let section = problem("[powder]", "[powdr]");
+        assert_eq!((section.line, section.key.as_str()), (Some(1), "[powdr]"));
+        assert!(section.why.contains("did you mean [powder]?"));
+    }
+
+    #[test]
+    fn markers_include_the_solids_fraction_first() {
+        use MarkerChoice::{Slip, SolidsFraction};
+        let case = text_with("[\"solids_fraction\"]", "[\"slip\", \"solids_fraction\"]").unwrap();
+        assert_eq!(case.filter.markers, [SolidsFraction, Slip]);
+        assert!(problem("[\"solids_fraction\"]", "[\"slip\"]").why.contains("always a marker"));
+    }
 }

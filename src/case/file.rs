@@ -473,7 +473,7 @@ impl<'a, 't, 'p> Section<'a, 't, 'p> {
         let keys = keys_of(name);
         let table = match root.get(name) {
             None => {
-                if needed {
+                if needed && !misspelt(root, &SECTIONS.map(|(section, _)| section), name) {
                     let why = format!("missing: the section needs {}", keys.join(", "));
                     problems.missing(format!("[{name}]"), None, why);
                 }
@@ -511,10 +511,14 @@ impl<'a, 't, 'p> Section<'a, 't, 'p> {
         matches!(self.value(key).map(|value| value.get_ref()), Some(DeValue::Array(_)))
     }
 
-    /// Notes that `key` is absent, at the section's header; an absent section is noted already.
+    /// Notes that `key` is absent, at the section's header. An absent section is noted already,
+    /// and so is a misspelt key.
     fn missing(&mut self, key: &str, why: &str) {
-        if let Some((_, header)) = &self.table {
-            self.problems.missing(key_name(self.name, key), Some(header.clone()), why);
+        if let Some((table, header)) = &self.table {
+            let keys = keys_of(self.name);
+            if !misspelt(table, keys, key) {
+                self.problems.missing(key_name(self.name, key), Some(header.clone()), why);
+            }
         }
     }
 
@@ -590,6 +594,13 @@ impl<'a, 't, 'p> Section<'a, 't, 'p> {
             }
         }
     }
+}
+
+/// Whether `table` holds a key that is none of `known` and was probably meant to be `meant`.
+fn misspelt(table: &DeTable<'_>, known: &[&str], meant: &str) -> bool {
+    table.keys().map(|key| key.get_ref().as_ref()).any(|key: &str| {
+        !known.contains(&key) && nearest(key, known.iter().copied()) == Some(meant)
+    })
 }
 
 /// The keys of a section that exists.
@@ -693,5 +704,53 @@ fn name_of(value: &DeValue<'_>) -> &'static str {
         DeValue::Datetime(_) => "a date",
         DeValue::Array(_) => "a list",
         DeValue::Table(_) => "a table",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantities_are_exact_and_their_units_are_those_of_their_kind() {
+        let si = |text, kind| Quantity::parse(text, kind).map(|quantity| quantity.si(None));
+        assert_eq!(si("75 um", Kind::Metric), Ok(Some(75e-6)));
+        assert_eq!(si("75µm", Kind::Length), Ok(Some(75e-6)));
+        assert_eq!(si(" 1.6e1 cm ", Kind::Length), Ok(Some(0.16)));
+        assert_eq!(si("5 ms", Kind::Time), Ok(Some(0.005)));
+        for (text, kind) in [
+            ("3 d", Kind::Metric),
+            ("3 s", Kind::Length),
+            ("3", Kind::Length),
+            ("L_I", Kind::Length),
+            ("inf m", Kind::Length),
+            ("1e999 m", Kind::Length),
+            ("", Kind::Time),
+            ("3 u_t", Kind::Time),
+            ("3 u_t/g", Kind::Velocity),
+        ] {
+            let why = Quantity::parse(text, kind).unwrap_err();
+            assert!(why.contains("accepted is a number in"), "{text}: {why}");
+        }
+    }
+
+    #[test]
+    fn excerpts_point_at_the_value() {
+        let text = "a = 1\r\n\tµm = \"é\"\r\nc = 3";
+        let start = text.find('"').unwrap();
+        let (line, shown) = excerpt(text, start..start + 4);
+        assert_eq!(line, 2);
+        assert_eq!(shown, "\n   |\n 2 | \tµm = \"é\"\n   | \t     ^^^");
+        // A span over several lines is marked on its first, one past the end by a single caret.
+        assert!(excerpt(text, start..text.len()).1.ends_with("^^^"));
+        assert_eq!(excerpt("a", 1..1), (1, "\n   |\n 1 | a\n   |  ^".to_owned()));
+    }
+
+    #[test]
+    fn the_nearest_key_is_near() {
+        let keys = ["diameter", "density", "restitution"];
+        assert_eq!(nearest("diametre", keys), Some("diameter"));
+        assert_eq!(nearest("Density", keys), Some("density"));
+        assert_eq!(nearest("phi", keys), None);
     }
 }
