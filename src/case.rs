@@ -1,6 +1,56 @@
-//! [`Case`]: what is to be computed, resolved to SI.
+//! [`Case`]: what is to be computed, resolved to SI, and the case file it is read from.
+//!
+//! A case file is TOML. Plain numbers are SI. A length may also be text with a unit: `"8 L_I"`,
+//! `"3 d"`, `"75 um"` (m, cm, mm, um, the particle diameter d, the reference lengths L_I to L_V of
+//! [`Scales`]); a time may be `"200 u_t/g"`, `"3 s"` or `"5 ms"`; a velocity `"0.25 u_t"` or
+//! `"0.1 m/s"`. Unknown keys are refused.
+//!
+//! | section | key | meaning | accepted | default |
+//! | --- | --- | --- | --- | --- |
+//! | `[powder]` | `diameter` | particle diameter d | 1e-7 m to 0.1 m | - |
+//! | | `density` | of one particle, ρ_s [kg/m³] | 1 to 30000, above the gas | - |
+//! | | `restitution` | restitution coefficient e | 0 < e ≤ 1 | - |
+//! | | `max_packing` | densest random packing φ_max | 0 < φ_max ≤ 0.74 | - |
+//! | `[gas]` | `density` | ρ_g [kg/m³] | 1e-6 to 2000 | - |
+//! | | `viscosity` | μ_g [Pa·s] | 1e-8 to 1 | - |
+//! | `[box]` | `size` | edges of the periodic box, the last one vertical | two or three lengths | - |
+//! | | `cells` | cells along each edge | even numbers from 8 | - |
+//! | | `cell` | instead of `cells`: the edge of one cell | a length that divides every edge | - |
+//! | | `solids_fraction` | mean solids fraction, or a list: one box each, pooled | 0 < φ < φ_max | - |
+//! | `[physics]` | `drag` | fine-grid drag law | `"wen-yu"` | `"wen-yu"` |
+//! | | `granular_energy` | how the granular temperature is found | `"transport"` | `"transport"` |
+//! | | `gravity` | g [m/s²] | 1e-3 to 1e4 | 9.81 |
+//! | `[filter]` | `widths` | edges of the box filters | whole cells along every axis, from 2 cells to half the box | 4, 8, 16 and 32 cells as far as they fit |
+//! | | `markers` | what results are binned by | `"solids_fraction"`, and `"slip"` | `["solids_fraction"]` |
+//! | | `solids_fraction_bin` | width of a bin | 1e-4 to φ_max | 0.02 |
+//! | | `slip_bin` | width of a bin | 0.001 u_t to 10 u_t | `"0.25 u_t"` |
+//! | `[run]` | `duration` | simulated time of each box | a time above 0 | `"200 u_t/g"` |
+//! | | `sample_interval` | time between samples | above 0, to a twentieth of the duration | `"0.5 u_t/g"`, or less if the duration asks for it |
+//! | | `seed` | of the initial perturbation | a whole number | 1 |
+//! | | `perturbation` | relative amplitude of the initial perturbation | 0 to 0.5 | 0.05 |
+//! | | `precision` | of the simulator | `"f32"`, `"f64"` | `"f64"` |
+//!
+//! Two stages: what was typed (types, units, places), then [`Case`] (SI, checked). Everything wrong
+//! with a file is reported at once, each [`Problem`] with key, value, line and what is accepted.
 
-use crate::laws::scales::{Gas, Powder};
+mod file;
+mod resolve;
+
+use std::fmt::{self, Write as _};
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use crate::laws::scales::{Gas, Powder, Scales};
+pub use file::Problem;
+use file::{Kind, Problems, Quantity};
+use resolve::{FEWEST_SAMPLES, TIME_EXPECTED, WHOLE, is_time, resolve};
+
+/// The case that `favre run` computes when none is given: the founding paper's powder in air.
+pub const DEFAULT: &str = include_str!("../examples/default.toml");
+
+/// Largest case file read [bytes]: anything longer is not a case file.
+const LONGEST_FILE: u64 = 1 << 20;
 
 /// A case: everything a run needs to know, checked, in SI.
 #[derive(Clone, Debug, PartialEq)]
@@ -106,4 +156,510 @@ pub enum Precision {
     /// `f64`.
     #[serde(rename = "f64")]
     Double,
+}
+
+/// Why there is no case.
+#[derive(Debug, thiserror::Error)]
+pub enum CaseError {
+    /// The file cannot be read.
+    #[error("cannot read the case file {path}", path = path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The path is a folder.
+    #[error("{path} is a folder and a case file is expected, such as {path}/case.toml", path = path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The file is longer than a case file can be.
+    #[error("{path} is longer than {LONGEST_FILE} bytes: it is not a case file", path = path.display())]
+    TooLong {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file is not text.
+    #[error("{path}:{line}: not UTF-8 text: a case file is TOML in UTF-8", path = path.display())]
+    NotText {
+        /// The file.
+        path: PathBuf,
+        /// The first line with a byte that is not UTF-8.
+        line: usize,
+    },
+    /// The file holds nothing.
+    #[error(
+        "{place} is empty: a case needs [powder], [gas] and [box]; `favre run --print-case` prints \
+         a complete one"
+    )]
+    Empty {
+        /// The file.
+        place: String,
+    },
+    /// The file holds something that is not acceptable.
+    #[error("{}", list(place, problems))]
+    Invalid {
+        /// The file.
+        place: String,
+        /// All that is wrong, in the order of the lines.
+        problems: Vec<Problem>,
+    },
+    /// The duration that is to replace the file's is not acceptable.
+    #[error("duration {value}: {why}")]
+    Duration {
+        /// The duration given.
+        value: String,
+        /// What is wrong and what would be accepted.
+        why: String,
+    },
+}
+
+/// The problems, each with its place; their number first if there are several.
+fn list(place: &str, problems: &[Problem]) -> String {
+    let mut text = String::new();
+    if problems.len() > 1 {
+        let _ = writeln!(text, "{place} has {} problems", problems.len());
+    }
+    for (n, problem) in problems.iter().enumerate() {
+        let newline = if n > 0 { "\n" } else { "" };
+        let _ = write!(text, "{newline}{place}:{problem}");
+    }
+    text
+}
+
+impl Case {
+    /// Reads the case file at `path`; the case is named after the file.
+    ///
+    /// # Errors
+    /// The file cannot be read, is not text, or is refused by [`Case::parse`].
+    pub fn load(path: &Path) -> Result<Self, CaseError> {
+        let read = |source| CaseError::Read { path: path.to_owned(), source };
+        if path.is_dir() {
+            return Err(CaseError::Folder { path: path.to_owned() });
+        }
+        let mut bytes = Vec::new();
+        File::open(path)
+            .map_err(read)?
+            .take(LONGEST_FILE + 1)
+            .read_to_end(&mut bytes)
+            .map_err(read)?;
+        if bytes.len() as u64 > LONGEST_FILE {
+            return Err(CaseError::TooLong { path: path.to_owned() });
+        }
+        let text = String::from_utf8(bytes).map_err(|error| {
+            let valid = &error.as_bytes()[..error.utf8_error().valid_up_to()];
+            let line = valid.iter().filter(|byte| **byte == b'\n').count() + 1;
+            CaseError::NotText { path: path.to_owned(), line }
+        })?;
+        let name = path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into());
+        Self::parse_at(&text, &name, &path.display().to_string())
+    }
+
+    /// Reads the text of a case file; `name` becomes the case's name and stands in messages for
+    /// the file.
+    ///
+    /// # Errors
+    /// The text is empty, not TOML, or holds something that is not acceptable; all problems are
+    /// reported together.
+    pub fn parse(text: &str, name: &str) -> Result<Self, CaseError> {
+        Self::parse_at(text, name, name)
+    }
+
+    fn parse_at(text: &str, name: &str, place: &str) -> Result<Self, CaseError> {
+        let mut problems = Problems::new(text);
+        let case = match file::read(text, &mut problems) {
+            Some(file) => resolve(&file, name, &mut problems),
+            None if problems.is_empty() => {
+                return Err(CaseError::Empty { place: place.to_owned() });
+            }
+            None => None,
+        };
+        match case {
+            Some(case) if problems.is_empty() => Ok(case),
+            _ => {
+                Err(CaseError::Invalid { place: place.to_owned(), problems: problems.into_list() })
+            }
+        }
+    }
+
+    /// Replaces the simulated time of each box by `text`, such as `20 u_t/g`, `3 s` or `3`.
+    ///
+    /// # Errors
+    /// The text is not a time above 0, or the time has no room for twenty samples.
+    pub fn set_duration(&mut self, text: &str) -> Result<(), CaseError> {
+        let refuse = |why| CaseError::Duration { value: format!("\"{text}\""), why };
+        let quantity = match text.trim().parse::<f64>() {
+            Ok(seconds) if seconds.is_finite() => Quantity::from_si(seconds),
+            _ => Quantity::parse(text, Kind::Time).map_err(refuse)?,
+        };
+        let scales = self.scales();
+        let duration = quantity.si(Some(&scales)).filter(|duration| is_time(*duration));
+        let duration = duration.ok_or_else(|| refuse(TIME_EXPECTED.to_owned()))?;
+        let least = FEWEST_SAMPLES * self.run.sample_interval;
+        if least > duration * (1.0 + WHOLE) {
+            return Err(refuse(format!(
+                "a run must be {FEWEST_SAMPLES} sample intervals long: give at least {:.4} u_t/g \
+                 ({:.4} s), or a shorter sample_interval in [run]",
+                least / scales.time(),
+                least
+            )));
+        }
+        self.run.duration = duration;
+        Ok(())
+    }
+
+    /// Number of axes, 2 or 3.
+    pub fn dimension(&self) -> usize {
+        self.domain.size.len()
+    }
+
+    /// The scales of the powder in the gas.
+    pub fn scales(&self) -> Scales {
+        Scales::new(&self.powder, &self.gas, self.physics.gravity)
+    }
+
+    /// What is acceptable but probably not meant, one sentence each.
+    pub fn warnings(&self) -> Vec<String> {
+        let scales = self.scales();
+        let (l_i, l_ii) = (scales.length_i(), scales.length_ii());
+        let mut warnings = Vec::new();
+        let longest = self.domain.size.iter().copied().fold(0.0, f64::max);
+        let coarsest = self.domain.spacing().into_iter().fold(0.0, f64::max);
+        if longest > 1e4 * l_i {
+            warnings.push(format!(
+                "the box is {longest} m long, {:.0} L_I: sizes are in metres, is this in mm?",
+                longest / l_i
+            ));
+        } else if coarsest > 8.0 * l_ii {
+            // Twice as coarse, in particle-scale lengths, as the founding study's grid.
+            warnings.push(format!(
+                "a cell is {coarsest:.3e} m long, {:.1} L_II: clusters are smeared on cells longer \
+                 than about 4 L_II = {:.3e} m",
+                coarsest / l_ii,
+                4.0 * l_ii
+            ));
+        }
+        warnings
+    }
+
+    /// The case as a case file with every key, in SI; [`Case::parse`] reads an equal case from it.
+    pub fn to_toml(&self) -> String {
+        let Self { name: _, powder, gas, domain, physics, filter, run } = self;
+        format!(
+            "[powder]\n\
+             diameter = {:?}\n\
+             density = {:?}\n\
+             restitution = {:?}\n\
+             max_packing = {:?}\n\
+             \n[gas]\n\
+             density = {:?}\n\
+             viscosity = {:?}\n\
+             \n[box]\n\
+             size = {:?}\n\
+             cells = {:?}\n\
+             solids_fraction = {:?}\n\
+             \n[physics]\n\
+             drag = {}\n\
+             granular_energy = {}\n\
+             gravity = {:?}\n\
+             \n[filter]\n\
+             widths = {:?}\n\
+             markers = {}\n\
+             solids_fraction_bin = {:?}\n\
+             slip_bin = \"{:?} u_t\"\n\
+             \n[run]\n\
+             duration = {:?}\n\
+             sample_interval = {:?}\n\
+             seed = {}\n\
+             perturbation = {:?}\n\
+             precision = {}\n",
+            powder.diameter,
+            powder.density,
+            powder.restitution,
+            powder.max_packing,
+            gas.density,
+            gas.viscosity,
+            domain.size,
+            domain.cells,
+            domain.solids_fractions,
+            quoted(&physics.drag),
+            quoted(&physics.granular_energy),
+            physics.gravity,
+            filter.widths,
+            quoted(&filter.markers),
+            filter.solids_fraction_bin,
+            filter.slip_bin,
+            run.duration,
+            run.sample_interval,
+            run.seed,
+            run.perturbation,
+            quoted(&run.precision),
+        )
+    }
+}
+
+impl fmt::Display for Case {
+    /// Writes [`Case::to_toml`].
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.to_toml())
+    }
+}
+
+impl Domain {
+    /// Edge of a cell along each axis [m].
+    pub fn spacing(&self) -> Vec<f64> {
+        self.size.iter().zip(&self.cells).map(|(size, cells)| size / *cells as f64).collect()
+    }
+}
+
+/// A choice, or a list of choices, as it is typed in a case file.
+fn quoted<T: serde::Serialize>(choice: &T) -> String {
+    // JSON's strings and lists of plain names are TOML's too.
+    serde_json::to_string(choice).expect("a choice is a name").replace(',', ", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A case with every key but `cell`, at its default where it has one.
+    const TEXT: &str = r#"[powder]
+diameter = 75e-6
+density = 1500.0
+restitution = 0.9
+max_packing = 0.65
+[gas]
+density = 1.3
+viscosity = 1.8e-5
+[box]
+size = [0.16, 0.16]
+cells = [128, 128]
+solids_fraction = [0.05, 0.15, 0.25, 0.35]
+[physics]
+drag = "wen-yu"
+granular_energy = "transport"
+gravity = 9.81
+[filter]
+widths = [0.005, 0.01, 0.02, 0.04]
+markers = ["solids_fraction"]
+solids_fraction_bin = 0.02
+slip_bin = "0.25 u_t"
+[run]
+duration = "200 u_t/g"
+sample_interval = "0.5 u_t/g"
+seed = 1
+perturbation = 0.05
+precision = "f64"
+"#;
+
+    fn text_with(from: &str, to: &str) -> Result<Case, CaseError> {
+        assert!(TEXT.contains(from), "{from} is not in the text");
+        Case::parse(&TEXT.replacen(from, to, 1), "test")
+    }
+
+    /// The one problem of the text with `from` replaced by `to`.
+    fn problem(from: &str, to: &str) -> Problem {
+        match text_with(from, to) {
+            Err(CaseError::Invalid { mut problems, .. }) if problems.len() == 1 => {
+                problems.remove(0)
+            }
+            other => panic!("{to}: {other:?}"),
+        }
+    }
+
+    #[test]
+    fn the_default_case_is_the_founding_papers_powder_and_needs_no_warning() {
+        let case = Case::parse(DEFAULT, "default").unwrap();
+        assert_eq!(case.powder, crate::laws::scales::tests::POWDER);
+        assert_eq!(case.gas, crate::laws::scales::tests::GAS);
+        assert_eq!(case.warnings(), [""; 0]);
+    }
+
+    #[test]
+    fn lengths_and_times_are_resolved_to_si() {
+        let case = Case::parse(TEXT, "x").unwrap();
+        assert_eq!((case.name.as_str(), case.dimension()), ("x", 2));
+        assert_eq!(case.filter.widths, [0.005, 0.01, 0.02, 0.04]);
+        assert!((case.run.duration - 200.0 * 0.218_46 / 9.81).abs() < 1e-4);
+        let text = TEXT
+            .replace("[0.16, 0.16]", "[\"32 L_I\", \"64 L_I\"]")
+            .replace("[128, 128]", "[128, 256]")
+            .replace("[0.005, 0.01, 0.02, 0.04]", "[\"4 L_I\", \"2 L_I\"]");
+        let case = Case::parse(&text, "x").unwrap();
+        let l_i = case.scales().length_i();
+        assert_eq!(case.domain.size, [32.0 * l_i, 64.0 * l_i]);
+        assert_eq!(case.filter.widths, [2.0 * l_i, 4.0 * l_i]);
+        let text = TEXT.replace("[0.16, 0.16]", "[\"2000 d\", \"15 cm\"]").replace("widths =", "#");
+        assert_eq!(Case::parse(&text, "x").unwrap().domain.size, [0.15, 0.15]);
+    }
+
+    #[test]
+    fn the_default_case_names_every_key_but_the_alternative_one() {
+        for (section, keys) in file::SECTIONS {
+            assert!(DEFAULT.contains(&format!("[{section}]")));
+            for key in keys.iter().filter(|key| **key != "cell") {
+                assert!(DEFAULT.contains(&format!("\n{key} = ")), "{key}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_optional_has_the_documented_defaults() {
+        let start = TEXT.find("[physics]").unwrap();
+        let brief = Case::parse(&TEXT[..start], "default").unwrap();
+        assert_eq!(brief, Case::parse(TEXT, "default").unwrap());
+    }
+
+    #[test]
+    fn a_resolved_case_reads_back_as_itself() {
+        for text in [
+            DEFAULT,
+            include_str!("../examples/base-case.toml"),
+            include_str!("../examples/box-3d.toml"),
+            include_str!("../examples/geldart-b.toml"),
+        ] {
+            let case = Case::parse(text, "x").unwrap();
+            assert_eq!(Case::parse(&case.to_toml(), "x").unwrap(), case);
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn any_resolved_case_reads_back_as_itself(
+            diameter in 10e-6..1e-3f64,
+            half_cells in 8usize..100,
+            cell in 1.0..9.0f64,
+            width in 2usize..8,
+            slip_bin in 0.01..5.0f64,
+            duration in 10.0..1000.0f64,
+        ) {
+            let cells = 2 * half_cells;
+            let (edge, width) = (cell * cells as f64, cell * width as f64);
+            let text = TEXT
+                .replace("75e-6", &format!("{diameter:?}"))
+                .replace("[0.16, 0.16]", &format!("[\"{edge:?} L_II\", \"{edge:?} L_II\"]"))
+                .replace("[128, 128]", &format!("[{cells}, {cells}]"))
+                .replace("[0.005, 0.01, 0.02, 0.04]", &format!("[\"{width:?} L_II\"]"))
+                .replace("0.25 u_t\"", &format!("{slip_bin:?} u_t\""))
+                .replace("200 u_t/g", &format!("{duration:?} u_t/g"));
+            let case = Case::parse(&text, "x").unwrap();
+            prop_assert_eq!(Case::parse(&case.to_toml(), "x").unwrap(), case);
+        }
+
+        #[test]
+        fn no_text_makes_the_reader_panic(at in 0usize..TEXT.len(), typed in "\\PC{0,8}") {
+            let mut text = TEXT.to_owned();
+            prop_assume!(text.is_char_boundary(at));
+            text.insert_str(at, &typed);
+            if let Err(error) = Case::parse(&text, "x") {
+                prop_assert!(error.to_string().starts_with("x"), "{}", error);
+            }
+        }
+    }
+
+    #[test]
+    fn a_cell_edge_counts_the_cells() {
+        let case = text_with("cells = [128, 128]", "cell = \"1.25 mm\"").unwrap();
+        assert_eq!(case.domain.cells, [128, 128]);
+        let refused = problem("cells = [128, 128]", "cell = 1.25e-3\ncells = [128, 128]");
+        assert_eq!(refused.key, "[box] cell");
+        let case = text_with("cells = [128, 128]", "cell = 1.2e-3");
+        let Err(CaseError::Invalid { problems, .. }) = case else { panic!("{case:?}") };
+        // Both edges and no consequence of theirs.
+        assert_eq!(problems.len(), 2);
+        assert!(problems[0].why.contains("0.1584 m or 0.1608 m"), "{}", problems[0].why);
+        assert_eq!(problems[0].line, Some(10));
+    }
+
+    #[test]
+    fn widths_are_whole_along_every_axis_and_the_nearest_are_named() {
+        let refused = problem("0.005, 0.01,", "0.005, 0.012,");
+        assert!(refused.why.ends_with("accepted nearest: 0.01125 m, 0.0125 m"), "{}", refused.why);
+        let refused = problem("0.02, 0.04]", "0.02, 0.1]");
+        assert!(refused.why.ends_with("accepted nearest: 0.08 m"), "{}", refused.why);
+        let refused = problem("[0.005, ", "[0.00125, ");
+        assert!(refused.why.ends_with("accepted nearest: 0.0025 m"), "{}", refused.why);
+
+        // Cells of 1.25 mm x 1.875 mm have 3.75 mm in common.
+        let case = text_with("[0.16, 0.16]", "[0.16, 0.24]");
+        let Err(CaseError::Invalid { problems, .. }) = case else { panic!("{case:?}") };
+        assert_eq!(problems.len(), 4);
+        assert!(problems[0].why.ends_with("accepted nearest: 0.00375 m, 0.0075 m"));
+    }
+
+    #[test]
+    fn widths_by_default_are_those_that_fit() {
+        let text = &TEXT[..TEXT.find("[physics]").unwrap()];
+        let text = text.replace("[128, 128]", "[32, 24]").replace("[0.16, 0.16]", "[0.32, 0.24]");
+        let case = Case::parse(&text, "x").unwrap();
+        assert_eq!(case.filter.widths, [0.04, 0.08]);
+        let text = text.replace("[0.32, 0.24]", "[0.32, 0.2411]");
+        let error = Case::parse(&text, "x").unwrap_err().to_string();
+        assert!(error.contains("[filter] widths: missing"), "{error}");
+        assert!(error.contains("cells (0.01 x 0.0100458 m)"), "{error}");
+    }
+
+    #[test]
+    fn sizes_in_millimetres_are_warned_of_and_cells_below_a_particle_refused() {
+        let text = TEXT[..TEXT.find("[physics]").unwrap()].replace("[0.16, 0.16]", "[160, 160]");
+        let warnings = Case::parse(&text, "x").unwrap().warnings();
+        assert_eq!(warnings.len(), 1);
+        assert!(warnings[0].contains("is this in mm?"), "{warnings:?}");
+
+        let text = text.replace("[160, 160]", "[0.64, 0.64]");
+        let warnings = Case::parse(&text, "x").unwrap().warnings();
+        assert!(warnings[0].contains("16.6 L_II"), "{warnings:?}");
+
+        let refused = problem("[0.16, 0.16]", "[\"0.16 mm\", 0.16]");
+        assert!(refused.why.contains("less than one particle"), "{}", refused.why);
+        assert_eq!(refused.value.as_deref(), Some("\"0.16 mm\""));
+    }
+
+    #[test]
+    fn the_duration_can_be_replaced() {
+        let mut case = Case::parse(TEXT, "x").unwrap();
+        case.set_duration("20 u_t/g").unwrap();
+        assert!((case.run.duration / case.scales().time() - 20.0).abs() < 1e-12);
+        case.set_duration("3").unwrap();
+        assert_eq!(case.run.duration, 3.0);
+        case.set_duration("10 u_t/g").unwrap();
+        let before = case.clone();
+        for wrong in ["9 u_t/g", "-3", "0", "", "soon", "nan", "3 m"] {
+            let error = case.set_duration(wrong).unwrap_err().to_string();
+            assert!(error.starts_with(&format!("duration \"{wrong}\": ")), "{error}");
+        }
+        assert_eq!(case, before);
+    }
+
+    #[test]
+    fn a_short_run_samples_often_enough_by_default() {
+        let refused = problem("\"200 u_t/g\"", "0.1");
+        assert_eq!(refused.key, "[run] sample_interval");
+        assert!(refused.why.ends_with("at most 0.005 s is accepted"), "{}", refused.why);
+        let line = "sample_interval = \"0.5 u_t/g\"";
+        let text = TEXT.replace("\"200 u_t/g\"", "0.1").replace(line, "");
+        assert_eq!(Case::parse(&text, "x").unwrap().run.sample_interval, 0.1 / 20.0);
+    }
+
+    #[test]
+    fn a_misspelt_key_or_section_is_one_problem() {
+        let key = problem("diameter = ", "diametre = ");
+        assert_eq!((key.line, key.key.as_str()), (Some(2), "[powder] diametre"));
+        assert!(key.why.contains("did you mean diameter?"));
+        let section = problem("[powder]", "[powdr]");
+        assert_eq!((section.line, section.key.as_str()), (Some(1), "[powdr]"));
+        assert!(section.why.contains("did you mean [powder]?"));
+    }
+
+    #[test]
+    fn markers_include_the_solids_fraction_first() {
+        use MarkerChoice::{Slip, SolidsFraction};
+        let case = text_with("[\"solids_fraction\"]", "[\"slip\", \"solids_fraction\"]").unwrap();
+        assert_eq!(case.filter.markers, [SolidsFraction, Slip]);
+        assert!(problem("[\"solids_fraction\"]", "[\"slip\"]").why.contains("always a marker"));
+    }
 }

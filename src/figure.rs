@@ -13,7 +13,6 @@ use kuva::prelude::{ColorMap, Heatmap, LinePlot, Plot, ScatterPlot, SvgBackend};
 use kuva::render::layout::{Layout, TickFormat};
 use kuva::render::render::{Scene, render_multiple};
 use kuva::{RasterBackend, TickAlign};
-use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 /// A drawn figure, from which SVG and PNG are made.
@@ -21,30 +20,14 @@ pub struct Figure {
     scene: Scene,
 }
 
-/// A figure that cannot be made or written.
+/// A figure that cannot be made.
 #[derive(Debug, Error)]
 pub enum FigureError {
-    /// Neither `.svg` nor `.png`.
-    #[error("{path}: a figure is written as .svg or .png")]
-    UnknownFormat {
-        /// File.
-        path: PathBuf,
-    },
     /// The rasteriser fails.
-    #[error("{path}: {why}")]
+    #[error("a figure cannot be drawn as pixels: {why}")]
     Raster {
-        /// File.
-        path: PathBuf,
         /// What it says.
         why: String,
-    },
-    /// The file cannot be written.
-    #[error("{path}: {source}")]
-    Unwritable {
-        /// File.
-        path: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
     },
     /// A field does not have the cells it claims to have.
     #[error("a field of {values} values cannot be drawn as {columns} x {rows} cells")]
@@ -67,21 +50,15 @@ impl Figure {
         SvgBackend::new().render_scene(&self.scene)
     }
 
-    /// Writes the figure as `.svg` or `.png`, whichever `path` ends in.
+    /// The figure as PNG.
     ///
     /// # Errors
-    /// [`FigureError`] for another ending, or when rasterising or writing fails.
-    pub fn save(&self, path: &Path) -> Result<(), FigureError> {
-        let bytes = match path.extension().and_then(|e| e.to_str()) {
-            Some("svg") => self.svg().into_bytes(),
-            Some("png") => RasterBackend::new()
-                .with_scale(PNG_SCALE)
-                .render_scene(&self.scene)
-                .map_err(|why| FigureError::Raster { path: path.into(), why })?,
-            _ => return Err(FigureError::UnknownFormat { path: path.into() }),
-        };
-        std::fs::write(path, bytes)
-            .map_err(|source| FigureError::Unwritable { path: path.into(), source })
+    /// [`FigureError::Raster`] when rasterising fails.
+    pub fn png(&self) -> Result<Vec<u8>, FigureError> {
+        RasterBackend::new()
+            .with_scale(PNG_SCALE)
+            .render_scene(&self.scene)
+            .map_err(|why| FigureError::Raster { why })
     }
 }
 
@@ -292,12 +269,9 @@ mod tests {
             .collect()
     }
 
-    /// Bytes of the file that `figure` makes, and its width and height if it is a PNG.
-    fn written(figure: &Figure, name: &str) -> (usize, [u32; 2]) {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join(name);
-        figure.save(&path).unwrap();
-        let bytes = std::fs::read(&path).unwrap();
+    /// Bytes of the PNG of `figure`, and its width and height.
+    fn drawn(figure: &Figure) -> (usize, [u32; 2]) {
+        let bytes = figure.png().unwrap();
         let number = |at: usize| u32::from_be_bytes(bytes[at..at + 4].try_into().unwrap());
         (bytes.len(), [number(16), number(20)])
     }
@@ -314,20 +288,19 @@ mod tests {
             assert!(svg.contains(text), "{text}");
         }
         assert_eq!(svg.matches("<circle").count(), rows.len() - 1);
-        assert_eq!(written(&figure, "closure.png").1, [1600, 1000]);
-        assert!(written(&figure, "closure.svg").0 == svg.len());
+        assert_eq!(drawn(&figure).1, [1600, 1000]);
     }
 
     #[test]
     fn fields_are_drawn_with_whole_pixels_and_in_small_files() {
         let square = field_figure(&clusters(512, 512), 512, 512, [0.16, 0.16]).unwrap();
-        let (bytes, size) = written(&square, "field.png");
+        let (bytes, size) = drawn(&square);
         assert_eq!(size, [512 + 2 * 160, 512 + 2 * 100]);
         assert!(bytes < 300_000, "{bytes} bytes");
         let tall = field_figure(&clusters(64, 256), 64, 256, [0.04, 0.16]).unwrap();
-        assert_eq!(written(&tall, "field.png").1, [680, 768 + 2 * 100]);
+        assert_eq!(drawn(&tall).1, [680, 768 + 2 * 100]);
         let uniform = field_figure(&[0.15; 64], 8, 8, [0.1, 0.1]).unwrap();
-        assert!(written(&uniform, "field.png").0 > 0);
+        assert!(drawn(&uniform).0 > 0);
     }
 
     #[test]
@@ -345,11 +318,6 @@ mod tests {
     fn bad_requests_are_refused() {
         let wrong = field_figure(&[0.1; 5], 2, 3, [1.0, 1.0]).err().unwrap().to_string();
         assert_eq!(wrong, "a field of 5 values cannot be drawn as 2 x 3 cells");
-        let figure = series_figure(&[0.0, 1.0], &[1.0, 1.1], 0.5, 0.6);
-        let format = figure.save(Path::new("series.pdf")).unwrap_err().to_string();
-        assert_eq!(format, "series.pdf: a figure is written as .svg or .png");
-        let folder = figure.save(Path::new("no/such/series.svg")).unwrap_err().to_string();
-        assert!(folder.starts_with("no/such/series.svg: "), "{folder}");
     }
 
     #[test]

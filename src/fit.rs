@@ -270,7 +270,12 @@ pub fn fit(
                 low: lowest(|r| r.solids_fraction_low).max(0.0),
                 high: highest(|r| r.solids_fraction_high).min(1.0),
             },
-            Marker::FilterWidth => ValidRange { marker, low: narrowest, high: widest },
+            // A form goes to its limit with the filter width by construction, so several widths
+            // reach down to none; one alone says nothing of the way there.
+            Marker::FilterWidth => {
+                let low = if narrowest < widest { 0.0 } else { narrowest };
+                ValidRange { marker, low, high: widest }
+            }
         })
         .collect();
 

@@ -28,5 +28,9 @@ pub mod forms;
 pub mod model;
 pub mod table;
 
+pub mod bench;
 pub mod figure;
+pub mod output;
+pub mod pipeline;
 pub mod progress;
+pub mod summary;

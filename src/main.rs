@@ -1,1 +1,136 @@
-fn main() {}
+//! The `favre` command: parse, call one library function, print one error, exit.
+
+mod cli;
+mod interrupt;
+
+use std::error::Error;
+use std::fmt::Display;
+use std::io::{self, Write};
+use std::path::Path;
+use std::process::ExitCode;
+
+use clap::Parser;
+use favre::bench;
+use favre::case::{Case, DEFAULT};
+use favre::output::Output;
+use favre::pipeline::{self, RunError, RunOptions};
+
+use cli::{Cli, Command};
+use interrupt::{INTERRUPTED, Interrupt};
+
+/// It ran and failed.
+const FAILED: u8 = 1;
+/// It was not asked properly.
+const MISUSE: u8 = 2;
+
+/// An exit status and what to say.
+struct Failure {
+    status: u8,
+    error: Box<dyn Error>,
+}
+
+impl Failure {
+    fn misuse(error: impl Into<Box<dyn Error>>) -> Self {
+        Self { status: MISUSE, error: error.into() }
+    }
+
+    fn failed(error: impl Into<Box<dyn Error>>) -> Self {
+        Self { status: FAILED, error: error.into() }
+    }
+}
+
+fn main() -> ExitCode {
+    let result = match Cli::parse().command {
+        Some(Command::Run(args)) => run(&args),
+        Some(Command::Bench(args)) => {
+            let report = bench::measure(args.quick);
+            if args.json { print_json(&report) } else { print(&report) }
+        }
+        None => Err(Failure::misuse(cli::WELCOME)),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(Failure { status, error }) => {
+            // The page for a call without arguments is not an error and has no prefix.
+            let prefix = if error.to_string() == cli::WELCOME { "" } else { "favre: " };
+            say(format_args!("{prefix}{}", chain(error.as_ref())));
+            ExitCode::from(status)
+        }
+    }
+}
+
+fn run(args: &cli::Run) -> Result<(), Failure> {
+    let mut case = match &args.case {
+        Some(path) => Case::load(path).map_err(Failure::misuse)?,
+        None => Case::parse(DEFAULT, "default").map_err(Failure::misuse)?,
+    };
+    if let Some(duration) = &args.duration {
+        case.set_duration(duration).map_err(Failure::misuse)?;
+    }
+    if args.print_case {
+        let untouched = args.case.is_none() && args.duration.is_none();
+        return write(if untouched { DEFAULT.to_owned() } else { case.to_toml() });
+    }
+    if !args.quiet {
+        for warning in case.warnings() {
+            say(format_args!("favre: warning: {warning}"));
+        }
+    }
+    let interrupt = Interrupt::install();
+    let default = Path::new("favre-out").join(&case.name);
+    let dir = args.out.as_deref().unwrap_or(&default);
+    let mut output = Output::create(dir, args.force).map_err(Failure::misuse)?;
+    interrupt.partial.get_or_init(|| output.partial().to_owned());
+    let options = RunOptions { threads: args.threads.map_or(0, usize::from), quiet: args.quiet };
+    let summary =
+        pipeline::run(&case, &mut output, &options, &interrupt.stop).map_err(|error| {
+            let status =
+                if matches!(error, RunError::Interrupted { .. }) { INTERRUPTED } else { FAILED };
+            Failure { status, error: error.into() }
+        })?;
+    let dir = output.commit().map_err(Failure::failed)?;
+    if !args.quiet {
+        say(format_args!("favre: results are in {}", dir.display()));
+    }
+    match (args.json, args.quiet) {
+        (true, _) => print_json(&summary),
+        (false, true) => Ok(()),
+        (false, false) => print(&summary),
+    }
+}
+
+/// An error and its causes on one line.
+fn chain(error: &dyn Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text = format!("{text}: {error}");
+        cause = error.source();
+    }
+    text
+}
+
+fn print(result: &impl Display) -> Result<(), Failure> {
+    write(format!("{result}\n"))
+}
+
+fn print_json(result: &impl serde::Serialize) -> Result<(), Failure> {
+    let text = serde_json::to_string_pretty(result).map_err(Failure::failed)?;
+    write(text + "\n")
+}
+
+/// Writes a result to standard output; a reader that has had enough is no failure.
+fn write(text: String) -> Result<(), Failure> {
+    let mut stdout = io::stdout().lock();
+    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(Failure::failed(format!("cannot write to standard output: {error}")))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Writes a message to standard error; where that is closed there is nobody to tell.
+fn say(message: impl Display) {
+    let _ = writeln!(io::stderr(), "{message}");
+}

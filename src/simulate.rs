@@ -10,7 +10,6 @@ use crate::real::Real;
 use crate::series::{Onset, steady_start};
 use crate::statistics::{Bins, Sampler, Sums};
 use crate::two_fluid::{Limit, Means, Setup, StepError, TwoFluid};
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Sampling intervals in a block of time, the smallest unit of the error estimate.
 const SAMPLES_PER_BLOCK: f64 = 4.0;
@@ -118,7 +117,7 @@ pub enum SimulateError {
 /// signals so far and the number of steps.
 ///
 /// # Errors
-/// `stop` was set, a step failed, or a filter does not fit.
+/// `stop` said so, a step failed, or a filter does not fit.
 ///
 /// # Panics
 /// When the case's dimension is not `D`.
@@ -126,7 +125,7 @@ pub fn simulate<R: Real, const D: usize>(
     case: &Case,
     solids_fraction: f64,
     parallel: bool,
-    stop: &AtomicBool,
+    stop: &dyn Fn() -> bool,
     mut watch: impl FnMut(&Signals, u64),
 ) -> Result<Simulated, SimulateError> {
     let begin = std::time::Instant::now();
@@ -167,7 +166,7 @@ pub fn simulate<R: Real, const D: usize>(
     for sample in 1..=samples {
         let until = sample as f64 * run.sample_interval;
         while flow.time() < until {
-            if stop.load(Ordering::Relaxed) {
+            if stop() {
                 return Err(SimulateError::Interrupted { time: flow.time() });
             }
             let step = flow

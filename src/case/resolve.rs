@@ -1,0 +1,603 @@
+//! From what was typed to a [`Case`]: units to SI, defaults, and the checks of every value's meaning.
+//!
+//! Each function resolves one part and returns none where something in it is missing or wrong,
+//! which is then among the problems; the others go on, so that all problems are found at once.
+
+use std::ops::RangeInclusive;
+
+use super::file::{CaseFile, DomainFile, FilterFile, Problems, Quantity, RunFile, Typed, Unit};
+use super::{
+    Case, Domain, DragChoice, FilterCase, GranularEnergyChoice, MarkerChoice, Physics, Precision,
+    RunCase,
+};
+use crate::laws::scales::{Gas, Powder, Scales};
+
+/// Fewest cells along an edge: the smallest grid on which a filter of four cells is at most half
+/// the box.
+const FEWEST_CELLS: u64 = 8;
+
+/// Densities of one particle that are accepted [kg/m³].
+const POWDER_DENSITY: RangeInclusive<f64> = 1.0..=3e4;
+
+/// Most cells of a box: a run of this size takes hundreds of gigabytes, so more is a slip of the
+/// pen, better refused here than by the memory allocator.
+const MOST_CELLS: u64 = 1 << 30;
+
+/// How far a ratio of lengths may be from a whole number and still count as one, relatively.
+pub(super) const WHOLE: f64 = 1e-6;
+
+/// Samples that a run must have room for: statistics by blocks of time need some.
+pub(super) const FEWEST_SAMPLES: f64 = 20.0;
+
+/// What is accepted as a time.
+pub(super) const TIME_EXPECTED: &str = "a time above 0 and at most 1e9 s is accepted";
+
+/// Whether a time is acceptable [s].
+pub(super) fn is_time(seconds: f64) -> bool {
+    seconds > 0.0 && seconds <= 1e9
+}
+
+/// The value where it is acceptable; else notes what would be.
+fn accept(
+    typed: Option<&Typed<f64>>,
+    accepted: impl Fn(f64) -> bool,
+    expected: &str,
+    problems: &mut Problems<'_>,
+) -> Option<f64> {
+    let typed = typed?;
+    if accepted(typed.value) {
+        Some(typed.value)
+    } else {
+        problems.refuse(typed, format!("{expected} is accepted"));
+        None
+    }
+}
+
+/// Turns what was typed into a case; none if anything is missing or wrong, which is then among the
+/// problems.
+pub(super) fn resolve(file: &CaseFile, name: &str, problems: &mut Problems<'_>) -> Option<Case> {
+    let powder = resolve_powder(file, problems);
+    let gas = resolve_gas(file, problems);
+    let gravity = match &file.physics.gravity {
+        None => Some(9.81),
+        typed => accept(
+            typed.as_ref(),
+            |g| (1e-3..=1e4).contains(&g),
+            "a number from 1e-3 to 1e4 m/s², positive: it points down the last axis,",
+            problems,
+        ),
+    };
+    // A gas as heavy as the powder has no terminal velocity, so no scales either.
+    let scales = match (&powder, &gas, gravity) {
+        (Some(powder), Some(gas), Some(gravity)) => Some(Scales::new(powder, gas, gravity)),
+        _ => None,
+    };
+    let max_packing = powder.as_ref().map(|powder| powder.max_packing);
+    let perturbation = match &file.run.perturbation {
+        None => Some(0.05),
+        typed => {
+            accept(typed.as_ref(), |p| (0.0..=0.5).contains(&p), "a number from 0 to 0.5", problems)
+        }
+    };
+    let diameter = powder.as_ref().map(|powder| powder.diameter);
+    let domain = resolve_domain(&file.domain, scales.as_ref(), diameter, problems);
+    let fractions = resolve_fractions(&file.domain, max_packing, perturbation, problems);
+    let filter =
+        resolve_filter(&file.filter, domain.as_ref(), scales.as_ref(), max_packing, problems);
+    let run = resolve_run(&file.run, scales.as_ref(), perturbation, problems);
+    let (size, cells) = domain?;
+    Some(Case {
+        name: name.to_owned(),
+        powder: powder?,
+        gas: gas?,
+        domain: Domain { size, cells, solids_fractions: fractions? },
+        physics: Physics {
+            drag: file.physics.drag.as_ref().map_or(DragChoice::WenYu, |typed| typed.value),
+            granular_energy: file
+                .physics
+                .granular_energy
+                .as_ref()
+                .map_or(GranularEnergyChoice::Transport, |typed| typed.value),
+            gravity: gravity?,
+        },
+        filter: filter?,
+        run: run?,
+    })
+}
+
+fn resolve_powder(file: &CaseFile, problems: &mut Problems<'_>) -> Option<Powder> {
+    let typed = &file.powder;
+    let diameter = typed.diameter.as_ref().and_then(|typed| {
+        let metres = typed.value.si(None).filter(|d| (1e-7..=0.1).contains(d));
+        if metres.is_none() {
+            problems.refuse(
+                typed,
+                "a diameter from 1e-7 to 0.1 is accepted, in metres, or text such as \"75 um\"",
+            );
+        }
+        metres
+    });
+    let density = accept(
+        typed.density.as_ref(),
+        |rho| POWDER_DENSITY.contains(&rho),
+        "the density of one particle, from 1 to 30000 kg/m³,",
+        problems,
+    );
+    let restitution = accept(
+        typed.restitution.as_ref(),
+        |e| e > 0.0 && e <= 1.0,
+        "a number above 0 and at most 1",
+        problems,
+    );
+    let max_packing = accept(
+        typed.max_packing.as_ref(),
+        |phi| phi > 0.0 && phi <= 0.74,
+        "a number above 0 and at most 0.74, the densest packing of equal spheres,",
+        problems,
+    );
+    Some(Powder {
+        diameter: diameter?,
+        density: density?,
+        restitution: restitution?,
+        max_packing: max_packing?,
+    })
+}
+
+fn resolve_gas(file: &CaseFile, problems: &mut Problems<'_>) -> Option<Gas> {
+    let density = accept(
+        file.gas.density.as_ref(),
+        |rho| (1e-6..=2e3).contains(&rho),
+        "a number from 1e-6 to 2000 kg/m³",
+        problems,
+    );
+    let viscosity = accept(
+        file.gas.viscosity.as_ref(),
+        |mu| (1e-8..=1.0).contains(&mu),
+        "a number from 1e-8 to 1 Pa·s (air: 1.8e-5)",
+        problems,
+    );
+    if let (Some(gas), Some(powder)) = (&file.gas.density, &file.powder.density)
+        && density.is_some()
+        && POWDER_DENSITY.contains(&powder.value)
+        && gas.value >= powder.value
+    {
+        problems.refuse(
+            gas,
+            format!("a gas lighter than the powder, below {} kg/m³, is accepted", powder.value),
+        );
+        return None;
+    }
+    Some(Gas { density: density?, viscosity: viscosity? })
+}
+
+/// Edge lengths and cells along each.
+fn resolve_domain(
+    file: &DomainFile,
+    scales: Option<&Scales>,
+    diameter: Option<f64>,
+    problems: &mut Problems<'_>,
+) -> Option<(Vec<f64>, Vec<usize>)> {
+    let size = file.size.as_ref().and_then(|typed| resolve_size(typed, scales, problems));
+    let axes = size.as_ref().map(Vec::len);
+    let cells = match (&file.cells, &file.cell) {
+        (Some(_), Some(cell)) => {
+            problems.refuse(cell, "cells is given as well: keep one of the two");
+            None
+        }
+        (Some(cells), None) => resolve_cells(cells, axes, problems),
+        (None, Some(cell)) => resolve_cell(cell, file, size.as_deref(), scales, problems),
+        (None, None) => None,
+    };
+    let (size, cells) = (size?, cells?);
+    if let Some(diameter) = diameter {
+        for (axis, (size, cells)) in size.iter().zip(&cells).enumerate() {
+            let spacing = size / *cells as f64;
+            if spacing < diameter * (1.0 - WHOLE) {
+                let typed = file.size.as_ref()?.value.get(axis)?;
+                problems.refuse(
+                    typed,
+                    format!(
+                        "a cell would be {spacing:.3e} m long, less than one particle of \
+                         {diameter:.3e} m, and a continuum of particles has no meaning there: \
+                         sizes are in metres; with {cells} cells accepted is from {:.3e} m",
+                        diameter * *cells as f64
+                    ),
+                );
+                return None;
+            }
+        }
+    }
+    Some((size, cells))
+}
+
+fn resolve_size(
+    typed: &Typed<Vec<Typed<Quantity>>>,
+    scales: Option<&Scales>,
+    problems: &mut Problems<'_>,
+) -> Option<Vec<f64>> {
+    if !(2..=3).contains(&typed.value.len()) {
+        problems.refuse(
+            typed,
+            format!(
+                "{} given; two edges (2-D) or three (3-D) are accepted, the last one vertical",
+                plural(typed.value.len(), "edge")
+            ),
+        );
+        return None;
+    }
+    let mut size = Vec::with_capacity(3);
+    let mut complete = true;
+    for edge in &typed.value {
+        match edge.value.si(scales) {
+            Some(metres) if metres > 0.0 && metres <= 1e9 => size.push(metres),
+            Some(_) => {
+                problems.refuse(edge, "a length above 0 and at most 1e9 m is accepted");
+                complete = false;
+            }
+            None => complete = false,
+        }
+    }
+    complete.then_some(size)
+}
+
+fn resolve_cells(
+    typed: &Typed<Vec<Typed<u64>>>,
+    axes: Option<usize>,
+    problems: &mut Problems<'_>,
+) -> Option<Vec<usize>> {
+    if let Some(axes) = axes
+        && typed.value.len() != axes
+    {
+        problems.refuse(
+            typed,
+            format!(
+                "{} given and size has {}: one number for each edge is accepted",
+                plural(typed.value.len(), "number"),
+                plural(axes, "edge")
+            ),
+        );
+        return None;
+    }
+    let mut sound = true;
+    for count in &typed.value {
+        if count.value < FEWEST_CELLS || count.value % 2 == 1 {
+            problems.refuse(count, format!("an even number from {FEWEST_CELLS} is accepted"));
+            sound = false;
+        }
+    }
+    let product = typed.value.iter().try_fold(1u64, |product, n| product.checked_mul(n.value));
+    if sound && product.is_none_or(|product| product > MOST_CELLS) {
+        problems.refuse(typed, format!("at most {MOST_CELLS} cells in all are accepted"));
+        sound = false;
+    }
+    sound.then(|| typed.value.iter().map(|count| count.value as usize).collect())
+}
+
+/// Cells along each edge from the edge of one cell.
+fn resolve_cell(
+    typed: &Typed<Quantity>,
+    file: &DomainFile,
+    size: Option<&[f64]>,
+    scales: Option<&Scales>,
+    problems: &mut Problems<'_>,
+) -> Option<Vec<usize>> {
+    let edge = typed.value.si(scales)?;
+    if edge <= 0.0 {
+        problems.refuse(typed, "a length above 0 is accepted");
+        return None;
+    }
+    let (size, typed_size) = (size?, file.size.as_ref()?);
+    let mut cells = Vec::with_capacity(3);
+    let mut sound = true;
+    let fewest = FEWEST_CELLS as f64;
+    for (length, typed) in size.iter().zip(&typed_size.value) {
+        let ratio = length / edge;
+        let whole = ratio.round();
+        if (ratio - whole).abs() > WHOLE * whole || whole % 2.0 != 0.0 || whole < fewest {
+            let below = (2.0 * (0.5 * ratio).floor()).max(fewest);
+            let above = if below > ratio { below } else { below + 2.0 };
+            let choice = if above > below {
+                format!("{} m or {} m", significant(below * edge), significant(above * edge))
+            } else {
+                format!("{} m", significant(above * edge))
+            };
+            problems.refuse(
+                typed,
+                format!(
+                    "this edge has {} cells of {} m and an even whole number of at least \
+                     {FEWEST_CELLS} is needed: accepted nearest are {choice}, or another cell",
+                    significant(ratio),
+                    significant(edge)
+                ),
+            );
+            sound = false;
+        }
+        cells.push(whole);
+    }
+    if sound && cells.iter().product::<f64>() > MOST_CELLS as f64 {
+        problems.refuse(typed, format!("at most {MOST_CELLS} cells in all are accepted"));
+        sound = false;
+    }
+    sound.then(|| cells.into_iter().map(|count| count as usize).collect())
+}
+
+fn resolve_fractions(
+    file: &DomainFile,
+    max_packing: Option<f64>,
+    perturbation: Option<f64>,
+    problems: &mut Problems<'_>,
+) -> Option<Vec<f64>> {
+    let typed = &file.solids_fraction.as_ref()?.value;
+    let highest = max_packing.unwrap_or(0.74);
+    let mut sound = true;
+    for (n, fraction) in typed.iter().enumerate() {
+        let phi = fraction.value;
+        let why = if phi <= 0.0 || phi >= highest {
+            format!("a number above 0 and below max_packing = {highest} is accepted")
+        } else if typed[..n].iter().any(|earlier| earlier.value == phi) {
+            "given twice: each solids fraction is accepted once, one box is simulated for it"
+                .to_owned()
+        } else if perturbation.is_some_and(|p| phi * (1.0 + p) >= highest) {
+            let p = perturbation.unwrap_or_default();
+            format!(
+                "with the perturbation of {p} it passes max_packing = {highest}: below {} is \
+                 accepted, or a smaller perturbation in [run]",
+                significant(highest / (1.0 + p))
+            )
+        } else {
+            continue;
+        };
+        problems.refuse(fraction, why);
+        sound = false;
+    }
+    sound.then(|| typed.iter().map(|fraction| fraction.value).collect())
+}
+
+fn resolve_filter(
+    file: &FilterFile,
+    domain: Option<&(Vec<f64>, Vec<usize>)>,
+    scales: Option<&Scales>,
+    max_packing: Option<f64>,
+    problems: &mut Problems<'_>,
+) -> Option<FilterCase> {
+    let widths = domain.and_then(|(size, cells)| {
+        let possible = PossibleWidths::new(size, cells);
+        match &file.widths {
+            Some(typed) => resolve_widths(typed, &possible, scales, problems),
+            None => default_widths(&possible, problems),
+        }
+    });
+    let markers = match &file.markers {
+        None => Some(vec![MarkerChoice::SolidsFraction]),
+        Some(typed) => resolve_markers(typed, problems),
+    };
+    let solids_fraction_bin = match &file.solids_fraction_bin {
+        None => Some(0.02),
+        typed => {
+            let highest = max_packing.unwrap_or(0.74);
+            accept(
+                typed.as_ref(),
+                |bin| (1e-4..=highest).contains(&bin),
+                &format!("a number from 1e-4 to max_packing = {highest}"),
+                problems,
+            )
+        }
+    };
+    let slip_bin = match &file.slip_bin {
+        None => Some(0.25),
+        Some(typed) => {
+            let scaled = match typed.value {
+                Quantity { number, unit: Unit::TerminalVelocity } => Some(number),
+                other => scales.and_then(|scales| {
+                    other.si(None).map(|velocity| velocity / scales.terminal_velocity)
+                }),
+            };
+            if scaled.is_some_and(|scaled| !(1e-3..=10.0).contains(&scaled)) {
+                let u_t = scales.map_or(String::new(), |scales| {
+                    format!(" (u_t is {:.4} m/s)", scales.terminal_velocity)
+                });
+                problems.refuse(typed, format!("from 0.001 u_t to 10 u_t is accepted{u_t}"));
+                None
+            } else {
+                scaled
+            }
+        }
+    };
+    Some(FilterCase {
+        widths: widths?,
+        markers: markers?,
+        solids_fraction_bin: solids_fraction_bin?,
+        slip_bin: slip_bin?,
+    })
+}
+
+fn resolve_markers(
+    typed: &Typed<Vec<Typed<MarkerChoice>>>,
+    problems: &mut Problems<'_>,
+) -> Option<Vec<MarkerChoice>> {
+    let mut markers: Vec<_> = typed.value.iter().map(|marker| marker.value).collect();
+    for (n, marker) in typed.value.iter().enumerate() {
+        if markers[..n].contains(&marker.value) {
+            problems.refuse(marker, "given twice: each marker is accepted once");
+            return None;
+        }
+    }
+    let Some(place) = markers.iter().position(|marker| *marker == MarkerChoice::SolidsFraction)
+    else {
+        problems.refuse(
+            typed,
+            "\"solids_fraction\" is always a marker: [\"solids_fraction\", \"slip\"] is accepted",
+        );
+        return None;
+    };
+    markers.swap(0, place);
+    Some(markers)
+}
+
+/// The widths that are a whole number of cells along every axis, from two cells to half the box.
+struct PossibleWidths {
+    /// Edge of a cell along each axis [m].
+    spacing: Vec<f64>,
+    /// The widths [m], ascending.
+    widths: Vec<f64>,
+}
+
+impl PossibleWidths {
+    fn new(size: &[f64], cells: &[usize]) -> Self {
+        let spacing: Vec<f64> = size.iter().zip(cells).map(|(size, n)| size / *n as f64).collect();
+        // Candidates are multiples of the cell along the axis with the fewest cells: any axis
+        // would do, and this one keeps the list short in long boxes.
+        let axis = (0..cells.len()).min_by_key(|axis| cells[*axis]).unwrap_or(0);
+        let (first, half) = (spacing[axis], cells[axis] / 2);
+        let whole = |width: f64| {
+            spacing.iter().zip(cells).all(|(spacing, cells)| {
+                let count = (width / spacing).round();
+                (width / spacing - count).abs() <= WHOLE * count
+                    && count >= 2.0
+                    && count <= (cells / 2) as f64
+            })
+        };
+        let widths = (2..=half).map(|n| n as f64 * first).filter(|width| whole(*width)).collect();
+        Self { spacing, widths }
+    }
+
+    /// The possible width that equals `width` within round-off.
+    fn find(&self, width: f64) -> Option<f64> {
+        self.widths.iter().copied().find(|possible| (width / possible - 1.0).abs() <= WHOLE)
+    }
+
+    /// What is accepted near `width`, in words.
+    fn near(&self, width: f64) -> String {
+        let place = self.widths.partition_point(|possible| *possible < width);
+        let mut near = Vec::new();
+        near.extend(place.checked_sub(1).map(|below| self.widths[below]));
+        near.extend(self.widths.get(place));
+        let near: Vec<_> =
+            near.into_iter().map(|width| format!("{} m", significant(width))).collect();
+        if near.is_empty() {
+            format!(
+                "no width is a whole number of cells ({} m) along every axis, from two cells to \
+                 half the box: choose size and cells so that cells are equal along all axes",
+                self.cell()
+            )
+        } else {
+            format!("accepted nearest: {}", near.join(", "))
+        }
+    }
+
+    /// Edges of a cell, in words.
+    fn cell(&self) -> String {
+        let edges: Vec<_> = self.spacing.iter().map(|edge| significant(*edge)).collect();
+        edges.join(" x ")
+    }
+}
+
+fn resolve_widths(
+    typed: &Typed<Vec<Typed<Quantity>>>,
+    possible: &PossibleWidths,
+    scales: Option<&Scales>,
+    problems: &mut Problems<'_>,
+) -> Option<Vec<f64>> {
+    if possible.widths.is_empty() {
+        problems.refuse(typed, possible.near(0.0));
+        return None;
+    }
+    let mut widths: Vec<f64> = Vec::with_capacity(typed.value.len());
+    let mut sound = true;
+    for quantity in &typed.value {
+        let width = quantity.value.si(scales)?;
+        match possible.find(width) {
+            Some(found) if widths.contains(&found) => {
+                problems.refuse(quantity, "given twice: each filter width is accepted once");
+                sound = false;
+            }
+            Some(found) => widths.push(found),
+            None => {
+                problems.refuse(
+                    quantity,
+                    format!(
+                        "a width is a whole number of cells ({} m) along every axis, from two \
+                         cells to half the box; {}",
+                        possible.cell(),
+                        possible.near(width)
+                    ),
+                );
+                sound = false;
+            }
+        }
+    }
+    widths.sort_by(f64::total_cmp);
+    sound.then_some(widths)
+}
+
+/// 4, 8, 16 and 32 of the longest cell edge, as far as they are possible.
+fn default_widths(possible: &PossibleWidths, problems: &mut Problems<'_>) -> Option<Vec<f64>> {
+    let edge = possible.spacing.iter().copied().fold(0.0, f64::max);
+    let widths: Vec<_> =
+        [4.0, 8.0, 16.0, 32.0].into_iter().filter_map(|n| possible.find(n * edge)).collect();
+    if widths.is_empty() {
+        let why = format!(
+            "missing, and none of the defaults (4, 8, 16, 32 cells of {} m) fits along every axis; {}",
+            possible.cell(),
+            possible.near(4.0 * edge)
+        );
+        problems.missing("[filter] widths".to_owned(), None, why);
+        return None;
+    }
+    Some(widths)
+}
+
+fn resolve_run(
+    file: &RunFile,
+    scales: Option<&Scales>,
+    perturbation: Option<f64>,
+    problems: &mut Problems<'_>,
+) -> Option<RunCase> {
+    let mut time = |typed: &Option<Typed<Quantity>>, default: f64| match typed {
+        None => scales.map(|scales| default * scales.time()),
+        Some(typed) => {
+            let seconds = typed.value.si(scales)?;
+            if !is_time(seconds) {
+                problems.refuse(typed, TIME_EXPECTED);
+                return None;
+            }
+            Some(seconds)
+        }
+    };
+    let duration = time(&file.duration, 200.0);
+    let longest = duration.map(|duration| duration / FEWEST_SAMPLES);
+    let sample_interval = time(&file.sample_interval, 0.5);
+    let sample_interval = match (&file.sample_interval, sample_interval, longest) {
+        (Some(typed), Some(interval), Some(longest)) if interval > longest * (1.0 + WHOLE) => {
+            problems.refuse(
+                typed,
+                format!(
+                    "a run must be {FEWEST_SAMPLES} sample intervals long: with this duration at \
+                     most {} s is accepted",
+                    significant(longest)
+                ),
+            );
+            None
+        }
+        (None, Some(interval), Some(longest)) => Some(interval.min(longest)),
+        (_, interval, _) => interval,
+    };
+    Some(RunCase {
+        duration: duration?,
+        sample_interval: sample_interval?,
+        seed: file.seed.as_ref().map_or(1, |typed| typed.value),
+        perturbation: perturbation?,
+        precision: file.precision.as_ref().map_or(Precision::Double, |typed| typed.value),
+    })
+}
+
+/// A number in a message: six significant digits, without trailing zeros.
+fn significant(x: f64) -> String {
+    let rounded: f64 = format!("{x:.5e}").parse().unwrap_or(x);
+    if (1e-4..1e6).contains(&rounded.abs()) { format!("{rounded}") } else { format!("{rounded:e}") }
+}
+
+/// `1 edge`, `2 edges`.
+fn plural(count: usize, noun: &str) -> String {
+    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
+}

@@ -1,0 +1,96 @@
+//! The command line: what may be typed.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand};
+
+/// Shown when `favre` is called with nothing.
+pub const WELCOME: &str = "\
+favre turns a powder and a gas into closure tables for coarse-grid simulations of gas-particle flow:
+it simulates a small periodic box finely, filters, bins and fits.
+
+Try first:
+  favre run --duration '20 u_t/g'           the default powder in air, briefly, to favre-out/default
+  favre run --print-case > my-powder.toml   a commented case file, to be edited
+  favre run my-powder.toml                  tables for your powder, to favre-out/my-powder
+
+`favre --help` lists the commands, `favre run --help` the options of a run.";
+
+const EXAMPLES: &str = "\
+Examples:
+  favre run --print-case > my-powder.toml   write a commented case file, to be edited
+  favre run my-powder.toml                  run it; tables go to favre-out/my-powder
+  favre run my-powder.toml --duration '50 u_t/g' --out trial
+  favre bench --quick                       how fast this machine is
+
+Exit status: 0 done, 1 failed while running, 2 misuse, 130 interrupted.";
+
+const RUN_EXAMPLES: &str = "\
+Examples:
+  favre run                                 the default powder in air, to favre-out/default
+  favre run --print-case > my-powder.toml   a commented case file, to be edited
+  favre run my-powder.toml --print-case     the same case resolved: every key, in SI
+  favre run my-powder.toml --threads 4 --out tables --force
+  favre run my-powder.toml --json | jq .    the summary for a script
+
+Ctrl-C ends a run and leaves nothing half-written. Exit status: 0 done, 1 failed while running,
+2 misuse, 130 interrupted.";
+
+/// Closures on demand for coarse-grid gas-particle flow: simulate, filter, bin, fit, export.
+#[derive(Debug, Parser)]
+#[command(name = "favre", version, after_help = EXAMPLES)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Option<Command>,
+}
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Simulate, filter, bin and fit one case
+    Run(Run),
+    /// Measure how fast this machine runs the kernels
+    Bench(Bench),
+}
+
+/// `favre run`.
+#[derive(Args, Debug)]
+#[command(after_help = RUN_EXAMPLES)]
+pub struct Run {
+    /// The case file; without one, the default case: the founding study's powder in air
+    #[arg(value_name = "CASE.toml")]
+    pub case: Option<PathBuf>,
+    /// Folder for the results [default: favre-out/ and the case's name]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Replace the results of an earlier run, once the new ones are complete
+    #[arg(long)]
+    pub force: bool,
+    /// Threads to use [default: one per core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
+    pub threads: Option<u16>,
+    /// Say nothing but errors
+    #[arg(long, short)]
+    pub quiet: bool,
+    /// Print the summary as JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Print the case and stop: the default case with its comments, a given one resolved to SI
+    #[arg(long)]
+    pub print_case: bool,
+    /// Simulated time of each box, instead of the case's: seconds, or text such as '20 u_t/g'
+    #[arg(long, value_name = "T", allow_hyphen_values = true)]
+    pub duration: Option<String>,
+}
+
+/// `favre bench`.
+#[derive(Args, Debug)]
+pub struct Bench {
+    /// Fewer rounds
+    #[arg(long)]
+    pub quick: bool,
+    /// Print the times as JSON
+    #[arg(long)]
+    pub json: bool,
+}

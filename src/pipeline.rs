@@ -1,0 +1,305 @@
+//! [`run`]: from a case to the files of a run, stage by stage.
+
+use crate::case::{Case, DragChoice, Precision};
+use crate::figure::{self, FigureError};
+use crate::fit::{Fit, FitError, ReferenceLength, fit};
+use crate::forms::SaturatingDrag;
+use crate::laws::scales::Scales;
+use crate::model::{
+    Definitions, Model, ModelError, Source, System, binned_closure_rows, closure_rows,
+};
+use crate::output::{Output, OutputError, RUN_FILE};
+use crate::progress::Progress;
+use crate::series::Onset;
+use crate::simulate::{SimulateError, Simulated, simulate};
+use crate::statistics::{MergeError, Sums, bin_table};
+use crate::summary::{BoxSummary, Machine, Summary};
+use crate::table::{BinRow, write_rows};
+use std::io::{self, Write};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Instant;
+
+/// How to run, as opposed to what.
+#[derive(Clone, Copy, Debug)]
+pub struct RunOptions {
+    /// Threads to use; 0 for one per core.
+    pub threads: usize,
+    /// Whether to be silent about progress.
+    pub quiet: bool,
+}
+
+/// Why a run did not end.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// It was asked to stop.
+    #[error("interrupted after {done:.4} s of {of:.4} s simulated: no tables were written")]
+    Interrupted {
+        /// Simulated time of all boxes until then \[s\].
+        done: f64,
+        /// Simulated time asked for, of all boxes \[s\].
+        of: f64,
+    },
+    /// A box could not be simulated.
+    #[error(transparent)]
+    Simulate(SimulateError),
+    /// The boxes' sums do not fit together.
+    #[error(transparent)]
+    Merge(#[from] MergeError),
+    /// The threads could not be started.
+    #[error("cannot start {threads} threads")]
+    Threads {
+        /// Threads asked for.
+        threads: usize,
+        /// Why.
+        source: rayon::ThreadPoolBuildError,
+    },
+    /// A figure cannot be drawn.
+    #[error(transparent)]
+    Figure(#[from] FigureError),
+    /// Its files cannot be written.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+}
+
+/// Runs `case` and fills `output`, which the caller commits. Ends early once `stop` is set.
+///
+/// A bin table without a closure is a result too: when no closure can be fitted, the summary says
+/// why.
+///
+/// # Errors
+/// `stop` was set, a box failed, or a file cannot be written.
+pub fn run(
+    case: &Case,
+    output: &mut Output,
+    options: &RunOptions,
+    stop: &AtomicBool,
+) -> Result<Summary, RunError> {
+    let begin = Instant::now();
+    let threads = match options.threads {
+        0 => std::thread::available_parallelism().map_or(1, usize::from),
+        threads => threads,
+    };
+    let scales = Scales::new(&case.powder, &case.gas, case.physics.gravity);
+
+    let boxes = simulate_boxes(case, &scales, threads, options.quiet, stop)?;
+    let (sums, boxes): (Vec<Sums>, Vec<(Simulated, BoxSummary)>) = boxes
+        .into_iter()
+        .map(|simulated| {
+            let (sums, summary) = steady_part(&simulated, &scales);
+            (sums, (simulated, summary))
+        })
+        .unzip();
+    let bins = bin_table(&sums, &scales)?;
+    let model = fit_drag_correction(&bins).map(|fit| closure(case, &scales, &fit));
+    let summary = Summary::new(
+        case,
+        &scales,
+        boxes.iter().map(|(_, summary)| summary.clone()).collect(),
+        &bins,
+        model.as_ref().map_err(ToString::to_string),
+        Machine { threads, seconds: begin.elapsed().as_secs_f64(), ..Machine::here() },
+    );
+    export(case, output, &boxes, &bins, model.as_ref().ok(), &summary)?;
+    Ok(summary)
+}
+
+/// Simulates every box of the case: as many at a time as there are threads, or, when the boxes are
+/// fewer, one after the other on all of them. The results do not depend on which.
+fn simulate_boxes(
+    case: &Case,
+    scales: &Scales,
+    threads: usize,
+    quiet: bool,
+    stop: &AtomicBool,
+) -> Result<Vec<Simulated>, RunError> {
+    let fractions = &case.domain.solids_fractions;
+    let progress = Progress::new(quiet, scales.terminal_velocity);
+    let (next, failed) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let results: Mutex<Vec<Option<Result<Simulated, SimulateError>>>> =
+        Mutex::new(fractions.iter().map(|_| None).collect());
+    let one_each = fractions.len() >= threads;
+    let work = || {
+        loop {
+            let place = next.fetch_add(1, Ordering::Relaxed);
+            let Some(&fraction) = fractions.get(place) else { return };
+            let halt = || stop.load(Ordering::Relaxed) || failed.load(Ordering::Relaxed);
+            let result = simulate_box(case, fraction, !one_each, &halt, &progress);
+            failed.fetch_or(result.is_err(), Ordering::Relaxed);
+            // A panic elsewhere poisons the lock, and ends the run anyway.
+            if let Ok(mut results) = results.lock() {
+                results[place] = Some(result);
+            }
+        }
+    };
+    if one_each {
+        std::thread::scope(|scope| {
+            for _ in 0..threads.min(fractions.len()) {
+                scope.spawn(work);
+            }
+        });
+    } else {
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .map_err(|source| RunError::Threads { threads, source })?
+            .install(work);
+    }
+    let results = results.into_inner().unwrap_or_default();
+    let (mut done, mut interrupted) = (0.0, false);
+    let mut boxes = Vec::new();
+    let mut failure = None;
+    for result in results.into_iter().flatten() {
+        match result {
+            Ok(simulated) => {
+                done += case.run.duration;
+                boxes.push(simulated);
+            }
+            Err(SimulateError::Interrupted { time }) => {
+                done += time;
+                interrupted = true;
+            }
+            Err(error) => failure = failure.or(Some(error)),
+        }
+    }
+    match failure {
+        Some(error) => Err(RunError::Simulate(error)),
+        None if interrupted => {
+            Err(RunError::Interrupted { done, of: case.run.duration * fractions.len() as f64 })
+        }
+        None => Ok(boxes),
+    }
+}
+
+/// Simulates one box: the one place that picks precision and dimension.
+fn simulate_box(
+    case: &Case,
+    fraction: f64,
+    parallel: bool,
+    stop: &dyn Fn() -> bool,
+    progress: &Progress,
+) -> Result<Simulated, SimulateError> {
+    let mut bar = progress.start(fraction, case.run.duration);
+    let watch = |signals: &_, steps| bar.update(signals, steps);
+    let result = match (case.run.precision, case.domain.size.len()) {
+        (Precision::Double, 2) => simulate::<f64, 2>(case, fraction, parallel, stop, watch),
+        (Precision::Double, _) => simulate::<f64, 3>(case, fraction, parallel, stop, watch),
+        (Precision::Single, 2) => simulate::<f32, 2>(case, fraction, parallel, stop, watch),
+        (Precision::Single, _) => simulate::<f32, 3>(case, fraction, parallel, stop, watch),
+    };
+    bar.finish();
+    result
+}
+
+/// The sums of a box from the time on from which it was steady, and what its signals say. A box
+/// that never became steady gives its second half, and a warning.
+fn steady_part(simulated: &Simulated, scales: &Scales) -> (Sums, BoxSummary) {
+    let duration = simulated.signals.time.last().copied().unwrap_or_default();
+    let onset = simulated.signals.onset();
+    let start = match onset {
+        Onset::Steady(time) => time,
+        Onset::NotSteady | Onset::TooShort => 0.5 * duration,
+    };
+    let mut sums = simulated.sums.clone();
+    sums.discard_before(start);
+    (sums, BoxSummary::new(simulated, start, onset, scales))
+}
+
+fn fit_drag_correction(bins: &[BinRow]) -> Result<Fit, FitError> {
+    let rows: Vec<BinRow> =
+        bins.iter().filter(|row| row.quantity == "drag_correction").cloned().collect();
+    fit(&SaturatingDrag, &rows, ReferenceLength::One)
+}
+
+fn closure(case: &Case, scales: &Scales, fit: &Fit) -> Model {
+    let drag = match case.physics.drag {
+        DragChoice::WenYu => "wen-yu",
+    };
+    Model::new(
+        &case.name,
+        fit,
+        Source {
+            reference: case.name.clone(),
+            version: env!("CARGO_PKG_VERSION").into(),
+            seed: Some(case.run.seed),
+        },
+        System::new(&case.powder, &case.gas, scales),
+        Definitions::favre(drag),
+    )
+}
+
+/// Writes the files of a run.
+fn export(
+    case: &Case,
+    output: &Output,
+    boxes: &[(Simulated, BoxSummary)],
+    bins: &[BinRow],
+    model: Option<&Model>,
+    summary: &Summary,
+) -> Result<(), RunError> {
+    output.write("case.toml", |file| file.write_all(case.to_toml().as_bytes()))?;
+    output.write("bins.csv", |file| write_rows(bins, file).map_err(io::Error::other))?;
+    output.write("signals.csv", |file| write_signals(boxes, file).map_err(io::Error::other))?;
+    if let Some(model) = model {
+        output.write("model.toml", |file| {
+            model.save(file).map_err(|error| match error {
+                ModelError::Unwritable(source) => source,
+                other => io::Error::other(other),
+            })
+        })?;
+        let mut rows = closure_rows(model, &case.filter.widths);
+        let others: Vec<BinRow> =
+            bins.iter().filter(|row| row.quantity != model.predicts).cloned().collect();
+        rows.extend(binned_closure_rows(&others));
+        output.write("closures.csv", |file| write_rows(&rows, file).map_err(io::Error::other))?;
+        let drawing = figure::closure_figure(bins, model);
+        output.write("closures.svg", |file| file.write_all(drawing.svg().as_bytes()))?;
+    }
+    let scale = summary.scales.terminal_velocity;
+    let last = case.domain.size.len() - 1;
+    let size = [case.domain.size[0], case.domain.size[last]];
+    for (simulated, summary) in boxes {
+        let phi = simulated.solids_fraction;
+        let field = figure::field_figure(
+            &simulated.snapshot,
+            case.domain.cells[0],
+            case.domain.cells[last],
+            size,
+        )?
+        .png()?;
+        output.write(&format!("field_{phi}.png"), |file| file.write_all(&field))?;
+        let slip: Vec<f64> = simulated.signals.slip.iter().map(|slip| slip / scale).collect();
+        let uniform = simulated.uniform_slip / scale;
+        let drawing = figure::series_figure(&simulated.signals.time, &slip, summary.start, uniform);
+        output
+            .write(&format!("slip_{phi}.svg"), |file| file.write_all(drawing.svg().as_bytes()))?;
+    }
+    output.write(RUN_FILE, |file| Ok(serde_json::to_writer_pretty(file, summary)?))?;
+    Ok(())
+}
+
+/// Writes the boxes' signals, one row per box and sample.
+fn write_signals(boxes: &[(Simulated, BoxSummary)], writer: impl Write) -> csv::Result<()> {
+    let mut table = csv::Writer::from_writer(writer);
+    table.write_record([
+        "box_solids_fraction [-]",
+        "time [s]",
+        "slip [m/s]",
+        "particle_slip [m/s]",
+        "solids_fraction_variance [-]",
+    ])?;
+    for (simulated, _) in boxes {
+        let signals = &simulated.signals;
+        for (n, time) in signals.time.iter().enumerate() {
+            table.serialize((
+                simulated.solids_fraction,
+                time,
+                signals.slip[n],
+                signals.particle_slip[n],
+                signals.solids_fraction_variance[n],
+            ))?;
+        }
+    }
+    table.flush()?;
+    Ok(())
+}

@@ -1,0 +1,414 @@
+//! [`Summary`]: what a run found, how sure it is, and what it cost; one screen, or run.json.
+
+use crate::case::Case;
+use crate::laws::scales::Scales;
+use crate::model::Model;
+use crate::rows::{Simd, simd_level};
+use crate::series::{Onset, SeriesStatistics, mean_with_error};
+use crate::simulate::{Cost, Simulated};
+use crate::table::BinRow;
+use serde::Serialize;
+use std::fmt;
+
+/// Slip above which a box is taken to be short-circuited by a gas channel through its periodic
+/// boundary \[u_t\], and for how long at a stretch that is worth a word \[u_t/g\].
+const CHANNEL_SLIP: f64 = 8.0;
+const CHANNEL_TIME: f64 = 20.0;
+
+/// Cells wider than this many L_II do not resolve the clusters of a powder: recent studies take
+/// three particle diameters, 0.8 L_II for the founding paper's powder.
+const RESOLVED: f64 = 1.0;
+
+/// A mean and how sure it is.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Measured {
+    /// Mean.
+    pub mean: f64,
+    /// Standard error; infinite (null in JSON) if there is too little to tell.
+    pub standard_error: f64,
+    /// Median in time.
+    pub median: f64,
+    /// Lower and upper quartile in time.
+    pub quartiles: [f64; 2],
+}
+
+/// What one box found.
+#[derive(Clone, Debug, Serialize)]
+pub struct BoxSummary {
+    /// Mean solids fraction.
+    pub solids_fraction: f64,
+    /// Slip of the uniform state over u_t.
+    pub uniform_slip: f64,
+    /// Time from which on the statistics were taken \[s\].
+    pub start: f64,
+    /// Whether the signals had become steady by then.
+    pub steady: bool,
+    /// Mean slip over u_t.
+    pub slip: Measured,
+    /// Slip seen by the particles over u_t.
+    pub particle_slip: Measured,
+    /// Variance of the solids fraction.
+    pub solids_fraction_variance: Measured,
+    /// Longest time for which a gas channel short-circuited the box \[s\].
+    pub channel_time: f64,
+    /// What it cost.
+    pub cost: Cost,
+}
+
+impl BoxSummary {
+    /// Of the signals of `simulated` from `start` on.
+    pub fn new(simulated: &Simulated, start: f64, onset: Onset, scales: &Scales) -> Self {
+        let signals = &simulated.signals;
+        let from = signals.from(start);
+        let measure = |values: &[f64], unit: f64| {
+            let nothing = Measured {
+                mean: f64::NAN,
+                standard_error: f64::INFINITY,
+                median: f64::NAN,
+                quartiles: [f64::NAN; 2],
+            };
+            let scaled: Vec<f64> = values[from..].iter().map(|value| value / unit).collect();
+            mean_with_error(&scaled).map_or(nothing, |s: SeriesStatistics| Measured {
+                mean: s.mean,
+                standard_error: s.standard_error,
+                median: s.median,
+                quartiles: [s.lower_quartile, s.upper_quartile],
+            })
+        };
+        let u_t = scales.terminal_velocity;
+        let interval = signals.time.get(1).copied().unwrap_or_default();
+        let longest = signals.slip[from..]
+            .split(|&slip| slip <= CHANNEL_SLIP * u_t)
+            .map(<[f64]>::len)
+            .max()
+            .unwrap_or_default();
+        Self {
+            solids_fraction: simulated.solids_fraction,
+            uniform_slip: simulated.uniform_slip / u_t,
+            start,
+            steady: matches!(onset, Onset::Steady(_)),
+            slip: measure(&signals.slip, u_t),
+            particle_slip: measure(&signals.particle_slip, u_t),
+            solids_fraction_variance: measure(&signals.solids_fraction_variance, 1.0),
+            channel_time: longest as f64 * interval,
+            cost: simulated.cost,
+        }
+    }
+}
+
+/// Where it ran.
+#[derive(Clone, Debug, Serialize)]
+pub struct Machine {
+    /// Operating system.
+    pub system: &'static str,
+    /// Processor architecture.
+    pub architecture: &'static str,
+    /// Instruction set of the kernels.
+    pub simd: &'static str,
+    /// Threads used.
+    pub threads: usize,
+    /// Seconds of the wall clock, figures not included.
+    pub seconds: f64,
+}
+
+impl Machine {
+    /// This machine, no thread and no time used yet.
+    pub fn here() -> Self {
+        Self {
+            system: std::env::consts::OS,
+            architecture: std::env::consts::ARCH,
+            simd: match simd_level() {
+                Simd::Baseline => "baseline",
+                Simd::Avx2 => "AVX2",
+                Simd::Avx512 => "AVX-512",
+            },
+            threads: 0,
+            seconds: 0.0,
+        }
+    }
+}
+
+/// The scales of a case, in SI.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct ScalesSummary {
+    /// u_t \[m/s\].
+    pub terminal_velocity: f64,
+    /// Fr_p.
+    pub froude: f64,
+    /// L_I \[m\].
+    pub length_i: f64,
+    /// L_II \[m\].
+    pub length_ii: f64,
+}
+
+/// A drag correction found, for the table of the summary.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Found {
+    filter_width: f64,
+    solids_fraction: f64,
+    value: f64,
+    standard_error: f64,
+}
+
+/// What a run found, in brief.
+#[derive(Clone, Debug, Serialize)]
+pub struct Summary {
+    /// Version of the program.
+    pub version: &'static str,
+    /// The case's name.
+    pub name: String,
+    /// The case, resolved to SI: every key of the case file.
+    pub case: serde_json::Value,
+    /// Scales of the powder.
+    pub scales: ScalesSummary,
+    /// The boxes.
+    pub boxes: Vec<BoxSummary>,
+    /// Drag corrections near the boxes' mean fractions.
+    drag_corrections: Vec<Found>,
+    /// Rows of the bin table.
+    pub bins: usize,
+    /// The closure fitted: formula, coefficients with errors, goodness.
+    pub closure: Option<ClosureSummary>,
+    /// What a user must know, one sentence each.
+    pub warnings: Vec<String>,
+    /// Where it ran and how long.
+    pub machine: Machine,
+}
+
+/// The closure in brief.
+#[derive(Clone, Debug, Serialize)]
+pub struct ClosureSummary {
+    /// Formula.
+    pub formula: String,
+    /// Symbol, value, standard error, and whether it was held for want of data.
+    pub coefficients: Vec<(String, f64, f64, bool)>,
+    /// Share of the weighted variance of the bins that it explains.
+    pub r_squared: f64,
+    /// Root mean square residual.
+    pub rmse: f64,
+}
+
+impl Summary {
+    /// Puts the results of a run together.
+    pub fn new(
+        case: &Case,
+        scales: &Scales,
+        boxes: Vec<BoxSummary>,
+        bins: &[BinRow],
+        model: Result<&Model, String>,
+        machine: Machine,
+    ) -> Self {
+        let warnings = warnings(case, scales, &boxes, &model);
+        Self {
+            version: env!("CARGO_PKG_VERSION"),
+            name: case.name.clone(),
+            case: toml::from_str(&case.to_toml()).unwrap_or_default(),
+            scales: ScalesSummary {
+                terminal_velocity: scales.terminal_velocity,
+                froude: scales.froude,
+                length_i: scales.length_i(),
+                length_ii: scales.length_ii(),
+            },
+            drag_corrections: drag_corrections(case, bins),
+            boxes,
+            bins: bins.len(),
+            closure: model.ok().map(|model| ClosureSummary {
+                formula: model.formula.clone(),
+                coefficients: model
+                    .coefficients
+                    .iter()
+                    .map(|c| (c.symbol.clone(), c.value, c.standard_error, c.held))
+                    .collect(),
+                r_squared: model.goodness.r_squared,
+                rmse: model.goodness.rmse,
+            }),
+            warnings,
+            machine,
+        }
+    }
+}
+
+/// For each filter width and box the bin of its mean solids fraction.
+fn drag_corrections(case: &Case, bins: &[BinRow]) -> Vec<Found> {
+    let mut found = Vec::new();
+    for &width in &case.filter.widths {
+        for &phi in &case.domain.solids_fractions {
+            let row = bins.iter().find(|row| {
+                row.quantity == "drag_correction"
+                    && row.filter_width == width
+                    && (row.solids_fraction_low..row.solids_fraction_high).contains(&phi)
+            });
+            if let Some(row) = row {
+                found.push(Found {
+                    filter_width: width,
+                    solids_fraction: phi,
+                    value: row.value,
+                    standard_error: row.standard_error,
+                });
+            }
+        }
+    }
+    found
+}
+
+fn warnings(
+    case: &Case,
+    scales: &Scales,
+    boxes: &[BoxSummary],
+    model: &Result<&Model, String>,
+) -> Vec<String> {
+    let mut warnings = Vec::new();
+    let cell = case
+        .domain
+        .size
+        .iter()
+        .zip(&case.domain.cells)
+        .map(|(size, &cells)| size / cells as f64)
+        .fold(0.0, f64::max);
+    if cell > RESOLVED * scales.length_ii() {
+        warnings.push(format!(
+            "the cells ({:.3} mm = {:.1} L_II) do not resolve the smallest clusters: H is a lower \
+             bound; cells of {:.3} mm or less would",
+            1e3 * cell,
+            cell / scales.length_ii(),
+            1e3 * RESOLVED * scales.length_ii(),
+        ));
+    }
+    for summary in boxes {
+        let phi = summary.solids_fraction;
+        if !summary.steady {
+            warnings.push(format!(
+                "⟨φ⟩ = {phi}: not statistically steady within {} s, so the second half was \
+                 used; a longer run.duration is needed",
+                case.run.duration
+            ));
+        }
+        if summary.channel_time > CHANNEL_TIME * scales.time() {
+            warnings.push(format!(
+                "⟨φ⟩ = {phi}: a gas channel short-circuited the periodic box for {:.2} s at a \
+                 stretch (slip above {CHANNEL_SLIP} u_t), and the means hold it; a larger or \
+                 taller box avoids it",
+                summary.channel_time
+            ));
+        }
+    }
+    match model {
+        Ok(model) => warnings.extend(model.notes.iter().map(|note| format!("closure: {note}"))),
+        Err(why) => warnings.push(format!("no closure was fitted: {why}")),
+    }
+    warnings
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ScalesSummary { terminal_velocity, froude, length_i, length_ii } = self.scales;
+        writeln!(
+            f,
+            "{}: u_t = {terminal_velocity:.4} m/s, Fr_p = {froude:.1}, L_I = {:.3} mm, L_II = \
+             {:.4} mm",
+            self.name,
+            1e3 * length_i,
+            1e3 * length_ii
+        )?;
+        writeln!(f)?;
+        writeln!(
+            f,
+            "  ⟨φ⟩     slip/u_t         median [quartiles]      uniform  seen by particles  \
+             steady from"
+        )?;
+        for found in &self.boxes {
+            let slip = &found.slip;
+            writeln!(
+                f,
+                "  {:<6}  {:<15}  {:.2} [{:.2}, {:.2}]       {:.3}    {:<17}  {}",
+                found.solids_fraction,
+                interval(slip.mean, slip.standard_error),
+                slip.median,
+                slip.quartiles[0],
+                slip.quartiles[1],
+                found.uniform_slip,
+                interval(found.particle_slip.mean, found.particle_slip.standard_error),
+                if found.steady { format!("{:.2} s", found.start) } else { "never".into() },
+            )?;
+        }
+        writeln!(f)?;
+        writeln!(f, "  drag correction H (solvers multiply the drag by 1 - H), ± standard error")?;
+        let mut widths: Vec<f64> = self.drag_corrections.iter().map(|h| h.filter_width).collect();
+        widths.dedup();
+        write!(f, "  Δ_f                ")?;
+        for found in &self.boxes {
+            write!(f, "φ = {:<12}", found.solids_fraction)?;
+        }
+        writeln!(f)?;
+        for width in widths {
+            write!(f, "  {:<19}", format!("{:.4} m = {:.2} L_I", width, width / length_i))?;
+            for found in &self.boxes {
+                let h = self.drag_corrections.iter().find(|h| {
+                    h.filter_width == width && h.solids_fraction == found.solids_fraction
+                });
+                let text = h.map_or("-".into(), |h| interval(h.value, h.standard_error));
+                write!(f, "{text:<16}")?;
+            }
+            writeln!(f)?;
+        }
+        if let Some(closure) = &self.closure {
+            writeln!(f)?;
+            writeln!(f, "  {}", closure.formula)?;
+            let coefficients: Vec<String> = closure
+                .coefficients
+                .iter()
+                .map(|(symbol, value, error, held)| {
+                    if *held {
+                        format!("{symbol} = {value:.4} (held)")
+                    } else {
+                        format!("{symbol} = {}", interval(*value, *error))
+                    }
+                })
+                .collect();
+            writeln!(f, "  {}", coefficients.join(", "))?;
+            writeln!(
+                f,
+                "  R² = {:.3}, rms residual {:.3}, from {} bin rows of all quantities",
+                closure.r_squared, closure.rmse, self.bins
+            )?;
+        }
+        writeln!(f)?;
+        let steps: u64 = self.boxes.iter().map(|b| b.cost.steps).sum();
+        let residual = self.boxes.iter().map(|b| b.cost.volume_residual).fold(0.0, f64::max);
+        let mass = self.boxes.iter().map(|b| b.cost.mass_change.abs()).fold(0.0, f64::max);
+        let momentum = self.boxes.iter().map(|b| b.cost.momentum_change).fold(0.0, f64::max);
+        writeln!(
+            f,
+            "  {:.1} s on {} threads ({}), {steps} steps; solids mass kept to {mass:.0e}, momentum \
+             to {momentum:.0e}, volume to {residual:.0e} a step",
+            self.machine.seconds, self.machine.threads, self.machine.simd
+        )?;
+        for warning in &self.warnings {
+            writeln!(f, "  warning: {warning}")?;
+        }
+        Ok(())
+    }
+}
+
+/// A number and its standard error, two digits of it.
+fn interval(value: f64, error: f64) -> String {
+    if !error.is_finite() {
+        return format!("{value:.3} ± ?");
+    }
+    let digits = if error > 0.0 { (1.0 - error.log10().floor()).clamp(0.0, 6.0) } else { 3.0 };
+    let digits = digits as usize;
+    format!("{value:.digits$} ± {error:.digits$}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_show_two_digits_of_their_error() {
+        assert_eq!(interval(2.345_67, 0.123), "2.35 ± 0.12");
+        assert_eq!(interval(0.5, 0.0012), "0.5000 ± 0.0012");
+        assert_eq!(interval(12.3, 4.0), "12.3 ± 4.0");
+        assert_eq!(interval(1.0, f64::INFINITY), "1.000 ± ?");
+    }
+}
