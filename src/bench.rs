@@ -1,40 +1,133 @@
-//! [`measure`]: how fast the kernels are on this machine.
+//! [`measure`]: what a step costs on this machine.
 
+use crate::case::{Case, CaseError, DEFAULT, Precision};
+use crate::grid::Grid;
+use crate::real::Real;
+use crate::rows::{Simd, simd_level};
+use crate::simulate::{SimulateError, simulate};
 use std::fmt;
-use std::hint::black_box;
 use std::time::Instant;
 
-use crate::laws::drag::{DragLaw, WenYu};
-use crate::laws::scales::{Gas, Powder};
+/// What one step costs.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Measurement {
+    /// Precision of the simulator.
+    pub precision: Precision,
+    /// Cells along each axis.
+    pub cells: Vec<usize>,
+    /// Time steps timed.
+    pub steps: u64,
+    /// Core time per cell and step, statistics included, median of the rounds \[µs\].
+    pub per_cell_step: f64,
+    /// The fastest and the slowest round \[µs\].
+    pub range: [f64; 2],
+    /// Pressure iterations and gas sub-steps per step.
+    pub per_step: [f64; 2],
+}
 
-/// Times measured.
+/// Measurements of the default case's box on one core.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct Report {
-    /// One evaluation of the drag law in double precision [ns], best of several rounds.
-    pub drag_law_ns: f64,
+    /// Instruction set of the kernels.
+    pub simd: &'static str,
+    /// One for each precision.
+    pub measurements: Vec<Measurement>,
 }
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "drag law, f64: {:.2} ns per evaluation", self.drag_law_ns)
+        writeln!(f, "one core, {}, default case, statistics included:", self.simd)?;
+        for m in &self.measurements {
+            let precision = match m.precision {
+                Precision::Single => "f32",
+                Precision::Double => "f64",
+            };
+            let cells: Vec<String> = m.cells.iter().map(ToString::to_string).collect();
+            writeln!(
+                f,
+                "  {precision} {}: {:.4} µs per cell and step ({:.4} to {:.4}); {} steps, {:.1} \
+                 pressure iterations and {:.1} gas sub-steps each",
+                cells.join(" x "),
+                m.per_cell_step,
+                m.range[0],
+                m.range[1],
+                m.steps,
+                m.per_step[0],
+                m.per_step[1],
+            )?;
+        }
+        Ok(())
     }
 }
 
-/// Measures; `quick` with a tenth of the rounds.
-pub fn measure(quick: bool) -> Report {
-    let gas = Gas { density: 1.3, viscosity: 1.8e-5 };
-    let powder = Powder { diameter: 75e-6, density: 1500.0, restitution: 0.9, max_packing: 0.65 };
-    let law = WenYu::<f64>::new(&gas, &powder);
-    let fractions: Vec<f64> = (0..4096).map(|n| 0.6 * f64::from(n) / 4096.0).collect();
-    let mut beta = vec![0.0; fractions.len()];
-    let mut best = f64::INFINITY;
-    for _ in 0..if quick { 20 } else { 200 } {
-        let start = Instant::now();
-        for (beta, phi) in beta.iter_mut().zip(&fractions) {
-            *beta = law.beta(*phi, 0.2);
+/// Why nothing could be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum BenchError {
+    /// The embedded case is broken.
+    #[error(transparent)]
+    Case(#[from] CaseError),
+    /// The simulation failed.
+    #[error(transparent)]
+    Simulate(#[from] SimulateError),
+}
+
+/// Times the default case's box at mean fraction 0.15 in f64 and f32, on one core, from the
+/// clustered state on; `quick` for a shorter time.
+///
+/// # Errors
+/// The simulation fails.
+pub fn measure(quick: bool) -> Result<Report, BenchError> {
+    let mut case = Case::parse(DEFAULT, "bench")?;
+    let (warm, round, rounds) = if quick { (40.0, 4.0, 5) } else { (60.0, 20.0, 9) };
+    let unit = 2.0 * case.run.sample_interval;
+    case.run.duration = (warm + round * f64::from(rounds)) * unit;
+    let measurements = vec![
+        one::<f64>(&case, Precision::Double, warm * unit, round * unit)?,
+        one::<f32>(&case, Precision::Single, warm * unit, round * unit)?,
+    ];
+    let simd = match simd_level() {
+        Simd::Baseline => "baseline SIMD",
+        Simd::Avx2 => "AVX2",
+        Simd::Avx512 => "AVX-512",
+    };
+    Ok(Report { simd, measurements })
+}
+
+fn one<R: Real>(
+    case: &Case,
+    precision: Precision,
+    warm: f64,
+    round: f64,
+) -> Result<Measurement, BenchError> {
+    let grid = Grid::new(
+        [case.domain.size[0], case.domain.size[1]],
+        [case.domain.cells[0], case.domain.cells[1]],
+    );
+    // The clock at the end of the warm-up and of each round.
+    let mut marks: Vec<(Instant, u64)> = Vec::new();
+    let mut next = warm;
+    let simulated = simulate::<R, 2>(case, 0.15, false, &|| false, |signals, steps| {
+        if signals.time.last().is_some_and(|&time| time >= next - 1e-9) {
+            marks.push((Instant::now(), steps));
+            next += round;
         }
-        black_box(&mut beta);
-        best = best.min(start.elapsed().as_secs_f64());
-    }
-    Report { drag_law_ns: 1e9 * best / fractions.len() as f64 }
+    })?;
+    let mut times: Vec<f64> = marks
+        .windows(2)
+        .map(|pair| {
+            let seconds = (pair[1].0 - pair[0].0).as_secs_f64();
+            1e6 * seconds / ((pair[1].1 - pair[0].1) as f64 * grid.len() as f64)
+        })
+        .collect();
+    times.sort_by(f64::total_cmp);
+    let cost = simulated.cost;
+    let steps = cost.steps as f64;
+    Ok(Measurement {
+        precision,
+        cells: grid.cells.to_vec(),
+        steps: marks[marks.len() - 1].1 - marks[0].1,
+        per_cell_step: times[times.len() / 2],
+        range: [times[0], times[times.len() - 1]],
+        per_step: [cost.pressure_iterations as f64 / steps, cost.gas_steps as f64 / steps],
+    })
 }

@@ -43,7 +43,7 @@ fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Some(Command::Run(args)) => run(&args),
         Some(Command::Bench(args)) => {
-            let report = bench::measure(args.quick);
+            let report = bench::measure(args.quick).map_err(Failure::failed)?;
             if args.json { print_json(&report) } else { print(&report) }
         }
         None => Err(Failure::misuse(cli::WELCOME)),
