@@ -10,7 +10,7 @@ use crate::laws::scales::{Gas, Powder};
 /// Times measured.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct Report {
-    /// One evaluation of the drag law in double precision [ns], best of several rounds.
+    /// One evaluation of the drag law in double precision \[ns\], best of several rounds.
     pub drag_law_ns: f64,
 }
 

@@ -23,9 +23,9 @@ pub enum RunError {
     /// It was asked to stop.
     #[error("interrupted after {done:.4} s of {of:.4} s simulated: no tables were written")]
     Interrupted {
-        /// Simulated time of all boxes until then [s].
+        /// Simulated time of all boxes until then \[s\].
         done: f64,
-        /// Simulated time asked for, of all boxes [s].
+        /// Simulated time asked for, of all boxes \[s\].
         of: f64,
     },
     /// Its files cannot be written.
@@ -38,7 +38,7 @@ pub enum RunError {
 pub struct Summary {
     /// The case's name.
     pub case: String,
-    /// Simulated time of all boxes [s].
+    /// Simulated time of all boxes \[s\].
     pub simulated: f64,
 }
 
