@@ -74,7 +74,7 @@ pub struct Case {
 /// `[box]`: the periodic box.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Domain {
-    /// Edge lengths [m], two or three; the last is vertical.
+    /// Edge lengths \[m\], two or three; the last is vertical.
     pub size: Vec<f64>,
     /// Cells along each edge.
     pub cells: Vec<usize>,
@@ -112,7 +112,7 @@ pub enum GranularEnergyChoice {
 /// `[filter]`: which filters, and by what their results are binned.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FilterCase {
-    /// Filter widths [m], ascending, each a whole number of cells along every axis.
+    /// Filter widths \[m\], ascending, each a whole number of cells along every axis.
     pub widths: Vec<f64>,
     /// What the results are binned by; `solids_fraction` always.
     pub markers: Vec<MarkerChoice>,
@@ -135,9 +135,9 @@ pub enum MarkerChoice {
 /// `[run]`: how long, how precisely, from which seed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunCase {
-    /// Simulated time of each box [s].
+    /// Simulated time of each box \[s\].
     pub duration: f64,
-    /// Time between samples [s].
+    /// Time between samples \[s\].
     pub sample_interval: f64,
     /// Seed of the initial perturbation.
     pub seed: u64,
@@ -408,7 +408,7 @@ impl fmt::Display for Case {
 }
 
 impl Domain {
-    /// Edge of a cell along each axis [m].
+    /// Edge of a cell along each axis \[m\].
     pub fn spacing(&self) -> Vec<f64> {
         self.size.iter().zip(&self.cells).map(|(size, cells)| size / *cells as f64).collect()
     }

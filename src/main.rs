@@ -42,10 +42,7 @@ impl Failure {
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Some(Command::Run(args)) => run(&args),
-        Some(Command::Bench(args)) => {
-            let report = bench::measure(args.quick).map_err(Failure::failed)?;
-            if args.json { print_json(&report) } else { print(&report) }
-        }
+        Some(Command::Bench(args)) => bench(&args),
         None => Err(Failure::misuse(cli::WELCOME)),
     };
     match result {
@@ -97,6 +94,11 @@ fn run(args: &cli::Run) -> Result<(), Failure> {
         (false, true) => Ok(()),
         (false, false) => print(&summary),
     }
+}
+
+fn bench(args: &cli::Bench) -> Result<(), Failure> {
+    let report = bench::measure(args.quick).map_err(Failure::failed)?;
+    if args.json { print_json(&report) } else { print(&report) }
 }
 
 /// An error and its causes on one line.

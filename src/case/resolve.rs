@@ -32,7 +32,7 @@ pub(super) const FEWEST_SAMPLES: f64 = 20.0;
 /// What is accepted as a time.
 pub(super) const TIME_EXPECTED: &str = "a time above 0 and at most 1e9 s is accepted";
 
-/// Whether a time is acceptable [s].
+/// Whether a time is acceptable \[s\].
 pub(super) fn is_time(seconds: f64) -> bool {
     seconds > 0.0 && seconds <= 1e9
 }
@@ -436,9 +436,9 @@ fn resolve_markers(
 
 /// The widths that are a whole number of cells along every axis, from two cells to half the box.
 struct PossibleWidths {
-    /// Edge of a cell along each axis [m].
+    /// Edge of a cell along each axis \[m\].
     spacing: Vec<f64>,
-    /// The widths [m], ascending.
+    /// The widths \[m\], ascending.
     widths: Vec<f64>,
 }
 
