@@ -116,8 +116,9 @@ pub fn closure_figure(rows: &[BinRow], model: &Model) -> Figure {
             dasharray: None,
         });
     }
-    let low = drawn.iter().map(|r| r.low_95).fold(0.0, f64::min);
-    let high = drawn.iter().map(|r| r.high_95).fold(0.0, f64::max);
+    // A bin that hardly anything is known of must not squeeze the others: its interval is cut.
+    let low = drawn.iter().map(|r| r.low_95).fold(0.0, f64::min).max(-0.2);
+    let high = drawn.iter().map(|r| r.high_95).fold(0.0, f64::max).min(1.0);
     let top = drawn.iter().map(|r| r.solids_fraction).fold(dense, f64::max);
     let layout = frame(Layout::auto_from_plots(&plots), 800.0, 500.0)
         .with_x_label("filtered solids fraction φ [-]")

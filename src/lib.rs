@@ -1,5 +1,7 @@
 #![doc = include_str!("ARCHITECTURE.md")]
 #![deny(missing_docs)]
+// A loop over the axes, or over the lanes of a vector, indexes several arrays at once.
+#![allow(clippy::needless_range_loop)]
 
 pub mod case;
 

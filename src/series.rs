@@ -21,10 +21,17 @@ const PARTS: usize = 10;
 
 /// How far the last part may lie from the median of the others, in their median deviations.
 ///
-/// For parts that are normal and independent, six median deviations are four standard deviations.
-/// A signal that is taken for unsteady costs a longer run; one that is taken for steady costs the
-/// answer.
-const APART: f64 = 6.0;
+/// The nine others of a correlated signal may lie close together by chance: a steady signal of
+/// fifteen correlation times was seen at eight of their median deviations. Growth out of a quiet
+/// state, which this is for, gives dozens.
+const APART: f64 = 10.0;
+
+/// Largest difference between the halves of a steady signal, in its standard errors.
+const DRIFT: f64 = 4.0;
+
+/// A later start must halve the marginal error at least to count against one in the first half: a
+/// single slow swing does less.
+const BETTER: f64 = 0.5;
 
 /// Excursions are clipped this many interquartile ranges beyond the quartiles.
 const CLIP: f64 = 3.0;
@@ -55,12 +62,17 @@ impl Onset {
 
 /// When the signal `values`, sampled at the ascending `times`, became steady.
 ///
-/// The marginal standard error of batch means is minimised over starts in the first nine tenths.
-/// Two departures from the rule make it safe here. Excursions are clipped three interquartile
-/// ranges beyond the quartiles of the second half, so that rare bursts do not pass for a transient.
-/// And the answer is [`Onset::NotSteady`] if the best start lies in the second half, or if the last
-/// tenth of what is left stands apart from the other tenths, as it does while a disturbance is still
-/// growing out of a long quiet state. A constant signal is steady from the start.
+/// The marginal standard error of batch means is minimised over starts in the first half.
+/// Excursions are clipped three interquartile ranges beyond the quartiles of the second half, so
+/// that rare bursts do not pass for a transient. The answer is [`Onset::NotSteady`] if
+///
+/// - the best start is the middle, or a later one would be twice as good;
+/// - the halves of what is left differ by more than four standard errors (Geweke's test, with the
+///   measured correlation time);
+/// - its last tenth stands apart from the other tenths, as it does while a disturbance is still
+///   growing out of a long quiet state.
+///
+/// A constant signal is steady from the start.
 ///
 /// A signal that has the same value before and after the onset, such as a slip may have, cannot tell
 /// the uniform state from the steady one: join it by [`Onset::and`] with one that can, such as the
@@ -78,30 +90,47 @@ pub fn steady_start(times: &[f64], values: &[f64]) -> Onset {
     let clipped = clip(&values[lead..]);
     let batches: Vec<f64> =
         clipped.chunks_exact(BATCH).map(|batch| batch.iter().sum::<f64>() / BATCH as f64).collect();
-    let start = least_marginal_error(&batches);
-    if 2 * start > batches.len() || end_stands_apart(&batches[start..]) {
+    let half = batches.len() / 2;
+    let (start, error) = least_marginal_error(&batches, half);
+    let (_, later) = least_marginal_error(&batches, 9 * batches.len() / 10);
+    let rest = &batches[start..];
+    if start == half || later < BETTER * error || drifts(rest) || end_stands_apart(rest) {
         return Onset::NotSteady;
     }
     // Nothing is gained by dropping the left-over values alone.
     Onset::Steady(times[if start == 0 { 0 } else { lead + start * BATCH }])
 }
 
-/// The number of leading values to drop, at most nine tenths, for the least marginal standard error
-/// of the rest. Of equal errors the earliest start wins.
-fn least_marginal_error(values: &[f64]) -> usize {
+/// The number of leading values to drop, at most `most`, for the least marginal standard error of
+/// the rest, and the square of that error. Of equal errors the earliest start wins.
+fn least_marginal_error(values: &[f64], most: usize) -> (usize, f64) {
     // About a value of the steady part, so that the sums of squares lose little to round-off.
     let origin = quantile(&sorted(&values[values.len() / 2..]), 0.5);
-    let (mut sum, mut squares, mut best) = (0.0, 0.0, (f64::INFINITY, 0));
+    let (mut sum, mut squares, mut best) = (0.0, 0.0, (0, f64::INFINITY));
     for (start, value) in values.iter().enumerate().rev() {
         let (value, left) = (value - origin, (values.len() - start) as f64);
         sum += value;
         squares += value * value;
         let error = (squares - sum * sum / left).max(0.0) / (left * left);
-        if 10 * start <= 9 * values.len() && error <= best.0 {
-            best = (error, start);
+        if start <= most && error <= best.1 {
+            best = (start, error);
         }
     }
-    best.1
+    best
+}
+
+/// Whether the means of the two halves differ by more than [`DRIFT`] standard errors.
+fn drifts(values: &[f64]) -> bool {
+    let (first, second) = values.split_at(values.len() / 2);
+    let moments = |values: &[f64]| {
+        let n = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / n;
+        let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / n;
+        (mean, 2.0 * correlation_intervals(values, mean) * variance / n)
+    };
+    let ((a, a_error), (b, b_error)) = (moments(first), moments(second));
+    // Round-off in the means of a constant signal is not a change.
+    (a - b).abs() > DRIFT * (a_error + b_error).sqrt() + 1e-12 * (a.abs() + b.abs())
 }
 
 /// Whether the mean of the last of [`PARTS`] equal parts lies apart from those of the others.

@@ -184,8 +184,10 @@ pub struct ClosureSummary {
     pub coefficients: Vec<(String, f64, f64, bool)>,
     /// Share of the weighted variance of the bins that it explains.
     pub r_squared: f64,
-    /// Root mean square residual.
-    pub rmse: f64,
+    /// Scatter of the bins about it beyond their own errors: its own error.
+    pub scatter: f64,
+    /// Bins that it was fitted to.
+    pub points: usize,
 }
 
 impl Summary {
@@ -220,7 +222,8 @@ impl Summary {
                     .map(|c| (c.symbol.clone(), c.value, c.standard_error, c.held))
                     .collect(),
                 r_squared: model.goodness.r_squared,
-                rmse: model.goodness.rmse,
+                scatter: model.goodness.extra_scatter,
+                points: model.goodness.points,
             }),
             warnings,
             machine,
@@ -368,8 +371,8 @@ impl fmt::Display for Summary {
             writeln!(f, "  {}", coefficients.join(", "))?;
             writeln!(
                 f,
-                "  R² = {:.3}, rms residual {:.3}, from {} bin rows of all quantities",
-                closure.r_squared, closure.rmse, self.bins
+                "  fitted to {} bins: R² = {:.3}, scatter beyond their errors {:.3}",
+                closure.points, closure.r_squared, closure.scatter
             )?;
         }
         writeln!(f)?;

@@ -190,7 +190,7 @@ pub fn balance_temperature<R: Real>(
         let s2 = s * s;
         let value = (collisional * s + cubic) * s2 * s - linear * s - slip;
         let slope = (R::of(4.0) * collisional * s + R::of(3.0) * cubic) * s2 - linear;
-        s = s - value / slope;
+        s -= value / slope;
     }
     s * s
 }

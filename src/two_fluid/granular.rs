@@ -238,7 +238,7 @@ simd! {
     fn per_mass_row[R: Real](heating: &mut [R], phi: &[R], density: R) {
         let phi = &phi[..heating.len()];
         for (heating, phi) in heating.iter_mut().zip(phi) {
-            *heating = *heating / (density * (*phi + R::of(GHOST)));
+            *heating /= density * (*phi + R::of(GHOST));
         }
     }
 }

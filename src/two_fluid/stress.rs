@@ -68,6 +68,7 @@ impl<R: Real, const D: usize> Stress<R, D> {
     }
 
     /// u' = u + dt/(ρ_s φ) ∇·τ along `axis`; `impulse` is dt/ρ_s.
+    #[allow(clippy::too_many_arguments)]
     pub(super) fn apply(
         &self,
         rows: &Rows<D>,

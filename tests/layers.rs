@@ -1,0 +1,156 @@
+//! The architecture as a test: who may use whom, and that the page about it is true.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// For each module the modules of the crate that it may name, besides itself.
+const ALLOWED: &[(&str, &str)] = &[
+    ("case", "laws"),
+    ("real", ""),
+    ("grid", ""),
+    ("field", "grid real"),
+    ("rows", "field real"),
+    ("stencil", "real"),
+    ("poisson", "field grid real rows"),
+    ("laws", "real"),
+    ("two_fluid", "case field fine grid laws poisson real rows stencil"),
+    ("fine", "grid"),
+    ("filter", "grid"),
+    ("moments", "fine filter filtered grid"),
+    ("filtered", "fine laws"),
+    ("blocking", ""),
+    ("series", "blocking"),
+    ("statistics", "blocking filter filtered fine grid laws moments table"),
+    ("simulate", "case filter fine grid laws real series statistics two_fluid"),
+    ("table", ""),
+    ("forms", ""),
+    ("fit", "forms table"),
+    ("model", "fit forms laws table"),
+    ("figure", "fit forms model table"),
+    ("output", ""),
+    ("progress", "series simulate"),
+    ("summary", "case laws model rows series simulate table"),
+    (
+        "pipeline",
+        "case figure fit forms laws model output progress series simulate statistics summary table",
+    ),
+    ("bench", "case grid real rows simulate"),
+];
+
+/// Outside dependencies that only some modules may name.
+const RESERVED: &[(&str, &str)] = &[
+    ("rayon", "rows pipeline"),
+    ("unsafe", "rows"),
+    ("kuva", "figure"),
+    ("indicatif", "progress"),
+];
+
+fn source() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("src")
+}
+
+/// The code of each module, its tests and comments left out.
+fn modules() -> BTreeMap<String, String> {
+    let mut modules = BTreeMap::<String, String>::new();
+    let mut folders = vec![source()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                if path != source().join("bin") {
+                    folders.push(path);
+                }
+                continue;
+            }
+            if path.extension().is_none_or(|extension| extension != "rs") {
+                continue;
+            }
+            let below = path.strip_prefix(source()).unwrap().with_extension("");
+            let name = below.iter().next().unwrap().to_str().unwrap().to_owned();
+            let text = fs::read_to_string(&path).unwrap();
+            let code = text.split("#[cfg(test)]\n").next().unwrap();
+            let code: String = code
+                .lines()
+                .filter(|line| !line.trim_start().starts_with("//"))
+                .flat_map(|line| [line, "\n"])
+                .collect();
+            modules.entry(name).or_default().push_str(&code);
+        }
+    }
+    modules
+}
+
+/// Words that follow `crate::` in the code, names in braces included.
+fn used(code: &str) -> Vec<String> {
+    code.split("crate::")
+        .skip(1)
+        .flat_map(|rest| {
+            let names = match rest.strip_prefix('{') {
+                Some(list) => list.split('}').next().unwrap(),
+                None => rest,
+            };
+            let many = rest.starts_with('{');
+            names
+                .split(',')
+                .take(if many { usize::MAX } else { 1 })
+                .map(|name| {
+                    let name = name.trim();
+                    let end = name.find(|c: char| !c.is_alphanumeric() && c != '_');
+                    name[..end.unwrap_or(name.len())].to_owned()
+                })
+                .collect::<Vec<_>>()
+        })
+        .filter(|name| name.starts_with(char::is_lowercase))
+        .collect()
+}
+
+#[test]
+fn modules_use_only_what_they_may() {
+    let modules = modules();
+    let binary = ["main", "cli", "interrupt", "lib"];
+    for (name, code) in &modules {
+        if binary.contains(&name.as_str()) {
+            continue;
+        }
+        let (_, allowed) = ALLOWED
+            .iter()
+            .find(|(module, _)| module == name)
+            .unwrap_or_else(|| panic!("{name} is not in the table of layers"));
+        for used in used(code) {
+            let fine = used == *name || allowed.split(' ').any(|module| module == used);
+            assert!(fine, "{name} uses {used}, which its layer does not allow");
+        }
+    }
+    for (module, _) in ALLOWED {
+        assert!(modules.contains_key(*module), "{module} is gone");
+    }
+}
+
+#[test]
+fn what_is_reserved_stays_in_its_module() {
+    for (name, code) in modules() {
+        for (word, homes) in RESERVED {
+            let named =
+                code.split(|c: char| !c.is_alphanumeric() && c != '_').any(|token| token == *word);
+            let home = homes.split(' ').any(|home| home == name);
+            assert!(!named || home, "{name} names {word}, which belongs to {homes}");
+        }
+    }
+}
+
+#[test]
+fn the_page_names_every_module_and_only_files_that_exist() {
+    let page = fs::read_to_string(source().join("ARCHITECTURE.md")).unwrap();
+    for (module, _) in ALLOWED {
+        let named = [format!("| [`{module}`]"), format!("| [`{module}`](mod@")];
+        assert!(named.iter().any(|name| page.contains(name)), "{module} is not on the page");
+    }
+    for quoted in page.split('`').skip(1).step_by(2) {
+        let path = quoted.contains('/') && !quoted.contains("::") && !quoted.contains(' ');
+        if path {
+            let there = Path::new(env!("CARGO_MANIFEST_DIR")).join(quoted.trim_end_matches('/'));
+            assert!(there.exists(), "the page names {quoted}, which does not exist");
+        }
+    }
+}

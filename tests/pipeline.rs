@@ -1,0 +1,107 @@
+//! The whole chain through the binary: every example, the same bytes again, what the tables say.
+
+use assert_cmd::Command;
+use favre::model::Model;
+use favre::table::{BinRow, read_bins};
+use std::fs;
+use std::path::Path;
+
+/// A box that clusters within seconds.
+const SMALL: &str = r#"
+[powder]
+diameter = 75e-6
+density = 1500.0
+restitution = 0.9
+max_packing = 0.65
+[gas]
+density = 1.3
+viscosity = 1.8e-5
+[box]
+size = [0.08, 0.08]
+cells = [64, 64]
+solids_fraction = [0.1, 0.2]
+[filter]
+widths = [0.005, 0.01, 0.02, 0.04]
+[run]
+duration = "80 u_t/g"
+"#;
+
+fn run(case: &Path, out: &Path, arguments: &[&str]) {
+    let mut command = Command::cargo_bin("favre").unwrap();
+    command.arg("run").arg(case).arg("--out").arg(out).arg("--quiet").args(arguments);
+    command.assert().success();
+}
+
+#[test]
+fn every_example_runs_shortened() {
+    let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples");
+    let folder = tempfile::tempdir().unwrap();
+    let mut seen = 0;
+    for entry in fs::read_dir(examples).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_stem().unwrap().to_str().unwrap().to_owned();
+        let out = folder.path().join(&name);
+        run(&path, &out, &["--duration", "12 u_t/g"]);
+        let bins = read_bins(&out.join("bins.csv")).unwrap();
+        assert!(!bins.is_empty(), "{name}");
+        for file in ["run.json", "case.toml", "signals.csv"] {
+            assert!(out.join(file).exists(), "{name} leaves no {file}");
+        }
+        // Momentum and mass were kept, whatever the dimension and the powder.
+        let json: serde_json::Value =
+            serde_json::from_str(&fs::read_to_string(out.join("run.json")).unwrap()).unwrap();
+        for found in json["boxes"].as_array().unwrap() {
+            assert!(found["cost"]["mass_change"].as_f64().unwrap().abs() < 1e-12, "{name}");
+            assert!(found["cost"]["momentum_change"].as_f64().unwrap() < 1e-9, "{name}");
+        }
+        seen += 1;
+    }
+    assert!(seen >= 4);
+}
+
+#[test]
+fn a_clustered_box_gives_a_closure_and_the_same_bytes_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let case = folder.path().join("small.toml");
+    fs::write(&case, SMALL).unwrap();
+    let (first, second) = (folder.path().join("first"), folder.path().join("second"));
+    run(&case, &first, &["--threads", "2"]);
+    run(&case, &second, &["--threads", "1"]);
+    for file in ["bins.csv", "closures.csv", "model.toml", "signals.csv", "closures.svg"] {
+        let [a, b] = [&first, &second].map(|dir| fs::read(dir.join(file)).unwrap());
+        assert!(a == b, "{file} differs between two runs of the same case");
+    }
+
+    let bins = read_bins(&first.join("bins.csv")).unwrap();
+    drag_correction_rises_with_filter_width(&bins);
+    let viscosity = bins.iter().filter(|row| row.quantity == "solids_viscosity");
+    assert!(viscosity.filter(|row| row.value > 0.0).count() > 20);
+
+    let model = Model::load(&first.join("model.toml")).unwrap();
+    assert!(model.check_test_vectors() <= 1e-12);
+    assert!(model.goodness.r_squared > 0.8, "{:?}", model.goodness);
+    assert_eq!(model.evaluate(0.15, 0.0), 0.0);
+}
+
+/// H of well-populated bins lies in [0, 1) and grows with the filter width at the same fraction.
+fn drag_correction_rises_with_filter_width(bins: &[BinRow]) {
+    let mut rows: Vec<&BinRow> = bins
+        .iter()
+        .filter(|row| row.quantity == "drag_correction" && row.standard_error < 0.05)
+        .collect();
+    rows.sort_by(|a, b| {
+        let key = |row: &BinRow| (row.solids_fraction_low, row.filter_width);
+        key(a).partial_cmp(&key(b)).unwrap()
+    });
+    assert!(rows.len() > 20, "{} well-populated bins", rows.len());
+    let mut pairs = 0;
+    for pair in rows.windows(2) {
+        assert!((0.0..1.0).contains(&pair[0].value), "{:?}", pair[0]);
+        if pair[0].solids_fraction_low == pair[1].solids_fraction_low {
+            let error = pair[0].standard_error.hypot(pair[1].standard_error);
+            assert!(pair[1].value > pair[0].value - 3.0 * error, "{:?} {:?}", pair[0], pair[1]);
+            pairs += 1;
+        }
+    }
+    assert!(pairs > 10, "{pairs} pairs of widths");
+}
