@@ -345,6 +345,24 @@ impl<const D: usize, L: DragLaw<f64>> Sampler<D, L> {
         &self.sums
     }
 
+    /// Goes on from the sums of an interrupted run, in place of its own, as if never interrupted.
+    ///
+    /// # Errors
+    /// [`MergeError`] if the widths, bins or block durations differ.
+    pub fn resume(&mut self, sums: Sums) -> Result<(), MergeError> {
+        self.sums.matches(&sums)?;
+        self.sums = sums;
+        self.rows.iter_mut().for_each(|rows| rows.fill(UNVISITED));
+        if let Some(block) = self.sums.blocks.last() {
+            for (rows, visited) in self.rows.iter_mut().zip(&block.widths) {
+                for (place, sums) in visited.iter().enumerate() {
+                    rows[sums.bin] = place as u32;
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// The sums, at the end.
     pub fn into_sums(self) -> Sums {
         self.sums
