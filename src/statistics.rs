@@ -672,6 +672,27 @@ mod tests {
     }
 
     #[test]
+    fn a_sampler_goes_on_within_a_block_to_the_same_bits() {
+        let grid = Grid::new([0.032, 0.016], [16, 8]);
+        let whole = sampled(grid, &[0.004, 0.008], Some(0.2), 0..12);
+        for cut in [0, 1, 6, 7] {
+            // What the sampler saw before it was handed the sums is forgotten.
+            let mut sampler = sampler(grid, &[0.004, 0.008], Some(0.2));
+            sampler.sample(&random_fields(grid, 99));
+            sampler.resume(sampled(grid, &[0.004, 0.008], Some(0.2), 0..cut)).unwrap();
+            for instant in cut..12 {
+                let mut fields = random_fields(grid, instant);
+                fields.time = 0.005 * instant as f64;
+                sampler.sample(&fields);
+            }
+            assert_eq!(sampler.into_sums(), whole, "cut at instant {cut}");
+        }
+        let other = sampled(grid, &[0.004], Some(0.2), 0..1);
+        let refused = sampler(grid, &[0.008], Some(0.2)).resume(other);
+        assert!(matches!(refused, Err(MergeError::Widths { .. })));
+    }
+
+    #[test]
     fn pooled_runs_give_one_value_from_all_blocks() {
         let grid = Grid::new([0.032, 0.032], [16, 16]);
         let runs = [sampled(grid, &[0.004], None, 0..20), sampled(grid, &[0.004], None, 20..60)];

@@ -446,7 +446,7 @@ fn a_disk_that_takes_no_more_is_a_failure_that_leaves_nothing() {
     let message = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(message.starts_with("favre: cannot write favre-out/case/"), "{message}");
-    assert!(message.contains("nothing of this run was kept: File too large"), "{message}");
+    assert!(message.contains("this run left no results: File too large"), "{message}");
     assert_eq!(names(dir.path()), ["case.toml"]);
 }
 

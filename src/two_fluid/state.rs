@@ -14,8 +14,7 @@ use crate::real::Real;
 use std::io::{self, Read, Write};
 
 /// The limits by their number in a state.
-const LIMITS: [Limit; 5] =
-    [Limit::Growth, Limit::Solids, Limit::Gas, Limit::Sound, Limit::Longest];
+const LIMITS: [Limit; 5] = [Limit::Growth, Limit::Solids, Limit::Gas, Limit::Sound, Limit::Longest];
 
 /// A state that cannot be taken.
 #[derive(Debug, thiserror::Error)]
@@ -159,7 +158,9 @@ mod tests {
     }
 
     fn advance<R: Real, const D: usize>(flow: &mut TwoFluid<R, D>, steps: usize) {
-        (0..steps).for_each(|_| drop(flow.step(f64::INFINITY).unwrap()));
+        for _ in 0..steps {
+            flow.step(f64::INFINITY).unwrap();
+        }
     }
 
     /// Goes on from a state in a model whose scratch memory holds something else: new, and far
