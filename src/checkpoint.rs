@@ -831,3 +831,355 @@ impl Crc {
         !self.0
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::real::Real;
+    use crate::simulate::{SimulateError, Simulated, simulate_from};
+    use crate::two_fluid::StateError;
+    use std::cell::Cell;
+
+    const HOUR: Option<Duration> = Some(Duration::from_secs(3600));
+    const PHI: f64 = 0.15;
+
+    /// A box of 20 samples, with bins of slip.
+    fn case(dimension: usize, precision: &str) -> Case {
+        let (size, cells) = match dimension {
+            2 => ("[0.02, 0.03]", "[16, 24]"),
+            _ => ("[0.01, 0.0125, 0.015]", "[8, 10, 12]"),
+        };
+        let text = format!(
+            "[powder]\ndiameter = 75e-6\ndensity = 1500\nrestitution = 0.9\nmax_packing = 0.65\n\
+             [gas]\ndensity = 1.3\nviscosity = 1.8e-5\n\
+             [box]\nsize = {size}\ncells = {cells}\nsolids_fraction = {PHI}\n\
+             [filter]\nwidths = [0.0025, 0.005]\nmarkers = [\"solids_fraction\", \"slip\"]\n\
+             [run]\nduration = \"10 u_t/g\"\nsample_interval = \"0.5 u_t/g\"\n\
+             perturbation = 0.3\nprecision = \"{precision}\"\n"
+        );
+        Case::parse(&text, "case").unwrap()
+    }
+
+    fn whole<R: Real, const D: usize>(case: &Case) -> Simulated {
+        simulate_from::<R, D>(case, PHI, false, &|| false, |_, _| {}, None, |_, _| {}).unwrap()
+    }
+
+    /// One piece of a run, until `samples` have been taken in all, or as many steps done in this
+    /// piece as `steps` and a sample taken.
+    fn piece<R: Real, const D: usize>(
+        case: &Case,
+        checkpoints: &Checkpoints,
+        samples: usize,
+        steps: usize,
+    ) -> Result<Simulated, SimulateError> {
+        let kept = checkpoints.kept(PHI).unwrap();
+        let before = kept.as_ref().map_or(0, |kept| kept.signals.time.len() - 1);
+        let (polls, sampled) = (Cell::new(0), Cell::new(before));
+        let stop = || {
+            let done = polls.replace(polls.get() + 1);
+            sampled.get() >= samples || (done >= steps && sampled.get() > 0)
+        };
+        let mut keeper = checkpoints.keeper(PHI);
+        simulate_from::<R, D>(
+            case,
+            PHI,
+            false,
+            &stop,
+            |signals, _| sampled.set(signals.time.len() - 1),
+            kept,
+            |moment, underway| keeper.keep(moment, underway).unwrap(),
+        )
+    }
+
+    /// A run that was stopped after `samples`, and what it left.
+    fn stopped<R: Real, const D: usize>(case: &Case, samples: usize) -> tempfile::TempDir {
+        let base = tempfile::tempdir().unwrap();
+        let checkpoints = Checkpoints::start(&output(&base), case, HOUR, false).unwrap();
+        let result = piece::<R, D>(case, &checkpoints, samples, usize::MAX);
+        assert!(matches!(result, Err(SimulateError::Interrupted { .. })));
+        base
+    }
+
+    fn output(base: &tempfile::TempDir) -> PathBuf {
+        base.path().join("run")
+    }
+
+    fn file(base: &tempfile::TempDir) -> PathBuf {
+        base.path().join("run.checkpoint/box_0.15.state")
+    }
+
+    fn resume(base: &tempfile::TempDir, case: &Case) -> Result<Checkpoints, CheckpointError> {
+        Checkpoints::resume(&output(base), case, HOUR)
+    }
+
+    #[track_caller]
+    fn assert_same(found: &Simulated, expected: &Simulated) {
+        assert_eq!(found.signals, expected.signals);
+        assert_eq!(found.sums, expected.sums);
+        assert_eq!(found.snapshot, expected.snapshot);
+        assert_eq!(found.uniform_slip, expected.uniform_slip);
+        let cost = |cost: Cost| Cost { seconds: 0.0, ..cost };
+        assert_eq!(cost(found.cost), cost(expected.cost));
+    }
+
+    fn goes_on<R: Real, const D: usize>(precision: &str) {
+        let case = case(D, precision);
+        let expected = whole::<R, D>(&case);
+        assert_eq!(expected.signals.time.len(), 21);
+        // Samples 4, 8, ... begin a block of time.
+        for samples in [1, 3, 4, 19] {
+            let base = stopped::<R, D>(&case, samples);
+            let kept = resume(&base, &case).unwrap().kept(PHI).unwrap().unwrap();
+            assert_eq!(kept.signals.time.len(), samples + 1);
+            let checkpoints = resume(&base, &case).unwrap();
+            let found = piece::<R, D>(&case, &checkpoints, usize::MAX, usize::MAX).unwrap();
+            assert_same(&found, &expected);
+            assert!(found.cost.seconds > kept.cost.seconds);
+
+            // It was kept at its end: nothing is left to do.
+            let again = piece::<R, D>(&case, &resume(&base, &case).unwrap(), usize::MAX, 0);
+            assert_same(&again.unwrap(), &expected);
+        }
+        // In many pieces, cut between samples.
+        let base = stopped::<R, D>(&case, 1);
+        let mut pieces = 1;
+        let found = loop {
+            pieces += 1;
+            match piece::<R, D>(&case, &resume(&base, &case).unwrap(), usize::MAX, 37) {
+                Ok(found) => break found,
+                Err(error) => assert!(matches!(error, SimulateError::Interrupted { .. })),
+            }
+        };
+        assert!(pieces > 4, "{pieces} pieces");
+        assert_same(&found, &expected);
+    }
+
+    #[test]
+    fn an_interrupted_box_goes_on_to_the_same_bits() {
+        goes_on::<f64, 2>("f64");
+        goes_on::<f32, 2>("f32");
+        goes_on::<f64, 3>("f64");
+        goes_on::<f32, 3>("f32");
+    }
+
+    #[test]
+    fn a_run_can_be_prolonged_but_not_cut_back() {
+        let short = case(2, "f64");
+        let mut long = short.clone();
+        long.set_duration("12.5 u_t/g").unwrap();
+        let expected = whole::<f64, 2>(&long);
+        // From its middle, and from its end.
+        for samples in [9, 20] {
+            let base = tempfile::tempdir().unwrap();
+            let checkpoints = Checkpoints::start(&output(&base), &short, HOUR, false).unwrap();
+            let _ = piece::<f64, 2>(&short, &checkpoints, samples, usize::MAX);
+            let checkpoints = resume(&base, &long).unwrap();
+            let found = piece::<f64, 2>(&long, &checkpoints, usize::MAX, usize::MAX).unwrap();
+            assert_same(&found, &expected);
+            let refused = resume(&base, &short).unwrap_err();
+            let CheckpointError::Passed { time, duration, .. } = refused else {
+                panic!("{refused}")
+            };
+            assert_eq!((time, duration), (long.run.duration, short.run.duration));
+        }
+    }
+
+    #[test]
+    fn there_must_be_a_run_to_go_on_with_and_none_to_start() {
+        let case = case(2, "f32");
+        let base = tempfile::tempdir().unwrap();
+        assert!(matches!(resume(&base, &case), Err(CheckpointError::Absent { .. })));
+        let base = stopped::<f32, 2>(&case, 2);
+        let start = |replace| Checkpoints::start(&output(&base), &case, HOUR, replace);
+        assert!(matches!(start(false), Err(CheckpointError::Exists { .. })));
+        assert!(file(&base).exists());
+        fs::write(base.path().join("run.checkpoint/notes"), "mine").unwrap();
+        let checkpoints = start(true).unwrap();
+        assert!(checkpoints.is_empty());
+        assert_eq!(fs::read_dir(checkpoints.dir()).unwrap().count(), 1);
+
+        // Begun with --force: so it goes on.
+        let _ = piece::<f32, 2>(&case, &checkpoints, 1, usize::MAX);
+        let seconds = checkpoints.seconds();
+        let checkpoints = resume(&base, &case).unwrap();
+        assert!(checkpoints.replaces());
+        assert!(0.0 < checkpoints.before && checkpoints.before < seconds);
+        fs::remove_file(base.path().join("run.checkpoint/notes")).unwrap();
+        checkpoints.remove().unwrap();
+        assert_eq!(fs::read_dir(base.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn another_case_is_refused_by_the_first_key_that_differs() {
+        let case = case(2, "f64");
+        let base = stopped::<f64, 2>(&case, 1);
+        let check = |expected: &str, change: &dyn Fn(&mut Case)| {
+            let mut other = case.clone();
+            change(&mut other);
+            match resume(&base, &other) {
+                Err(CheckpointError::Case { key, theirs, ours, .. }) => {
+                    assert_eq!(format!("{key}: {theirs} {ours}"), expected);
+                }
+                other => panic!("{expected}: {other:?}"),
+            }
+        };
+        check("[gas] density: 1.3 1.2", &|case| case.gas.density = 1.2);
+        check("[powder] density: 1500.0 1600.0", &|case| {
+            case.powder.density = 1600.0;
+            case.gas.density = 1.2;
+        });
+        check("[box] cells: [16, 24] [32, 24]", &|case| case.domain.cells[0] = 32);
+        check("[box] solids_fraction: [0.15] [0.1]", &|case| {
+            case.domain.solids_fractions = vec![0.1];
+        });
+        check("[filter] widths: [0.0025, 0.005] [0.0025]", &|case| {
+            case.filter.widths.truncate(1);
+        });
+        check("[run] seed: 1 2", &|case| case.run.seed = 2);
+        check("[run] precision: \"f64\" \"f32\"", &|case| {
+            case.run.precision = crate::case::Precision::Single;
+        });
+        assert_eq!(
+            difference("[a]\nx = 1\n[b]\nx = 2\n", "[a]\nx = 1\n[b]\n").unwrap().2,
+            "absent"
+        );
+        assert_eq!(difference("[run]\nduration = 1\n", "[run]\nduration = 2\n"), None);
+        assert_eq!(difference(&case.to_toml(), &case.to_toml()), None);
+    }
+
+    #[test]
+    fn a_file_of_another_version_or_box_is_refused() {
+        let case = case(2, "f32");
+        let base = stopped::<f32, 2>(&case, 1);
+        let original = fs::read(file(&base)).unwrap();
+        let edited = |at: usize, byte: u8| {
+            let mut bytes = original[..original.len() - CHECKSUM as usize].to_vec();
+            bytes[at] = byte;
+            fs::write(file(&base), signed(bytes)).unwrap();
+            resume(&base, &case).unwrap_err()
+        };
+        let refused = edited(8, 2);
+        assert!(matches!(refused, CheckpointError::Format { found: 2, .. }), "{refused:?}");
+        let refused = edited(20, b'x');
+        let CheckpointError::Version { found, .. } = refused else { panic!("{refused:?}") };
+        assert_eq!(found, format!("x{}", &VERSION[1..]));
+
+        fs::write(file(&base), &original).unwrap();
+        let checkpoints = resume(&base, &case).unwrap();
+        fs::rename(file(&base), checkpoints.path(0.2)).unwrap();
+        let Err(refused) = checkpoints.kept(0.2) else { panic!("a box taken for another") };
+        assert!(refused.to_string().contains("it is of the box of 0.15"), "{refused}");
+        assert!(checkpoints.kept(PHI).unwrap().is_none());
+    }
+
+    fn signed(mut bytes: Vec<u8>) -> Vec<u8> {
+        let mut crc = Crc::new();
+        crc.add(&bytes);
+        bytes.extend(crc.value().to_le_bytes());
+        bytes
+    }
+
+    #[test]
+    fn a_file_cut_short_or_changed_is_never_half_read() {
+        let case = case(2, "f32");
+        let base = stopped::<f32, 2>(&case, 5);
+        let original = fs::read(file(&base)).unwrap();
+        let checkpoints = resume(&base, &case).unwrap();
+        let body = original.len() - CHECKSUM as usize;
+        let flow = body - 7 * 16 * 24 * 4;
+        let places: Vec<usize> = (0..original.len())
+            .filter(|at| *at < 1200 || at % 997 == 0 || at.abs_diff(flow) < 80 || at + 20 > body)
+            .collect();
+        let damaged = |bytes: &[u8], what: &str| {
+            fs::write(file(&base), bytes).unwrap();
+            let refused = checkpoints.kept(PHI).err();
+            assert!(
+                matches!(refused, Some(CheckpointError::Damaged { .. })),
+                "{what}: {refused:?}"
+            );
+            assert!(matches!(resume(&base, &case), Err(CheckpointError::Damaged { .. })));
+        };
+        for &at in &places {
+            damaged(&original[..at], &format!("{at} bytes"));
+            let mut changed = original.clone();
+            changed[at] ^= 1 << (at % 8);
+            damaged(&changed, &format!("a bit of byte {at}"));
+        }
+        damaged(&[&original[..], b"x"].concat(), "a byte more");
+
+        // Nor where the checksum agrees.
+        for &at in places.iter().filter(|at| **at < body) {
+            fs::write(file(&base), signed(original[..at].to_vec())).unwrap();
+            match checkpoints.kept(PHI) {
+                Err(CheckpointError::Damaged { .. }) => assert!(at < flow),
+                Err(other) => panic!("{at} bytes: {other:?}"),
+                Ok(_) => {
+                    let refused = piece::<f32, 2>(&case, &checkpoints, 20, usize::MAX);
+                    let Err(SimulateError::State(StateError::Read(_))) = refused else {
+                        panic!("{at} bytes: {refused:?}")
+                    };
+                }
+            }
+        }
+        fs::write(file(&base), &original).unwrap();
+        assert!(checkpoints.kept(PHI).unwrap().is_some());
+    }
+
+    #[test]
+    fn a_box_is_kept_when_it_is_time_and_worth_it() {
+        let case = case(2, "f32");
+        let base = tempfile::tempdir().unwrap();
+        let (signals, cost) =
+            (Signals { time: vec![0.0; 2], ..Signals::default() }, Cost::default());
+        let none = Signals { time: vec![0.0], ..Signals::default() };
+        let kept = whole::<f32, 2>(&case);
+        let attempt = |interval, moment, signals: &Signals| {
+            let checkpoints = Checkpoints::start(&output(&base), &case, interval, true).unwrap();
+            let write_flow: &dyn Fn(&mut dyn Write) -> io::Result<()> = &|_| Ok(());
+            let underway = Underway { time: 0.0, signals, cost, sums: &kept.sums, write_flow };
+            checkpoints.keeper(PHI).keep(moment, &underway).unwrap();
+            !checkpoints.is_empty()
+        };
+        for moment in [Moment::Step, Moment::Stop, Moment::End] {
+            assert!(attempt(Some(Duration::ZERO), moment, &signals));
+            assert!(!attempt(Some(Duration::ZERO), moment, &none));
+            assert!(!attempt(None, moment, &signals));
+            assert_eq!(attempt(HOUR, moment, &signals), moment != Moment::Step);
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_written_leaves_the_earlier_file() {
+        let case = case(2, "f32");
+        let base = stopped::<f32, 2>(&case, 3);
+        let before = fs::read(file(&base)).unwrap();
+        let checkpoints = resume(&base, &case).unwrap();
+        let kept = checkpoints.kept(PHI).unwrap().unwrap();
+        let Kept { time, signals, cost, sums, .. } = &kept;
+        let write_flow: &dyn Fn(&mut dyn Write) -> io::Result<()> =
+            &|_| Err(io::Error::from(ErrorKind::StorageFull));
+        let underway = Underway { time: *time, signals, cost: *cost, sums, write_flow };
+        let refused = checkpoints.keeper(PHI).keep(Moment::Stop, &underway).unwrap_err();
+        let CheckpointError::Write { path, source } = refused else { panic!("{refused:?}") };
+        assert_eq!((path, source.kind()), (file(&base), ErrorKind::StorageFull));
+        assert_eq!(fs::read(file(&base)).unwrap(), before);
+        assert_eq!(fs::read_dir(checkpoints.dir()).unwrap().count(), 1);
+
+        checkpoints.remove().unwrap();
+        let _ = checkpoints.keeper(PHI).keep(Moment::Stop, &underway).unwrap_err();
+        assert!(!checkpoints.dir().exists());
+    }
+
+    #[test]
+    fn checksums_are_those_of_ieee_802_3() {
+        let sum = |parts: &[&str]| {
+            let mut crc = Crc::new();
+            parts.iter().for_each(|part| crc.add(part.as_bytes()));
+            crc.value()
+        };
+        assert_eq!(sum(&[]), 0);
+        assert_eq!(sum(&["123456789"]), 0xCBF4_3926);
+        assert_eq!(sum(&["The quick brown fox jumps over the lazy dog"]), 0x414F_A339);
+        assert_eq!(sum(&["The quick brown f", "ox jumps", " over the lazy dog"]), 0x414F_A339);
+    }
+}

@@ -406,7 +406,7 @@ fn an_interrupt_ends_the_run_and_leaves_nothing() {
         fs::write(dir.path().join("case.toml"), CASE).unwrap();
         let child = Command::new(cargo_bin!("favre"))
             .current_dir(dir.path())
-            .args(["run", "case.toml", "--duration", "1e6 u_t/g"])
+            .args(["run", "case.toml", "--duration", "1e6 u_t/g", "--checkpoint-minutes", "0"])
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
