@@ -21,6 +21,7 @@
 
 mod exchange;
 mod granular;
+mod state;
 mod stress;
 mod transport;
 
@@ -37,6 +38,7 @@ use crate::rows::Rows;
 use exchange::Inertia;
 use granular::{Closures, DragRow};
 use rand::{RngExt, SeedableRng};
+pub use state::StateError;
 use stress::Stress;
 use transport::{Fluxes, Share};
 

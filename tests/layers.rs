@@ -30,10 +30,11 @@ const ALLOWED: &[(&str, &str)] = &[
     ("figure", "fit forms model table"),
     ("output", ""),
     ("progress", "series simulate"),
+    ("checkpoint", "case filtered output simulate statistics"),
     ("summary", "case laws model rows series simulate table"),
     (
         "pipeline",
-        "case figure fit forms laws model output progress series simulate statistics summary table",
+        "case checkpoint figure fit forms laws model output progress series simulate statistics summary table",
     ),
     ("bench", "case grid real rows simulate"),
 ];
