@@ -29,7 +29,7 @@ use crate::field::{Faces, Field, Layout};
 use crate::fine::{FineFields, symmetric_index};
 use crate::grid::Grid;
 use crate::laws::drag::WenYu;
-use crate::laws::kinetic_theory::{KineticTheory, PackingBarrier, balance_temperature};
+use crate::laws::kinetic_theory::{KineticTheory, PackingBarrier};
 use crate::laws::scales::{Gas, Powder, homogeneous_slip};
 use crate::poisson::Poisson;
 use crate::real::Real;
@@ -222,9 +222,25 @@ fn drag_rows<R: Real>(choice: DragChoice, gas: &Gas, powder: &Powder) -> Box<dyn
 }
 
 impl<R: Real, const D: usize> TwoFluid<R, D> {
-    /// The uniform fluidised state, perturbed in its solids fraction, in the frame in which the
-    /// mixture has no momentum.
+    /// The uniform fluidised state, its solids fraction perturbed by white noise, in the frame in
+    /// which the mixture has no momentum.
     pub fn new(grid: Grid<D>, setup: Setup) -> Self {
+        // Of exactly zero mean, at most the amplitude.
+        let mut random = rand_pcg::Pcg64::seed_from_u64(setup.seed);
+        let noise: Vec<f64> = (0..grid.len()).map(|_| random.random_range(-1.0..1.0)).collect();
+        let noise_mean = noise.iter().sum::<f64>() / noise.len() as f64;
+        let mut noise = noise.into_iter();
+        Self::perturbed(grid, setup, |_| noise.next().unwrap_or_default() - noise_mean)
+    }
+
+    /// The uniform fluidised state, perturbed as the relative change φ/⟨φ⟩ - 1 =
+    /// `setup.perturbation` times `shape` of a cell's index, in the frame in which the mixture has
+    /// no momentum.
+    pub fn perturbed(
+        grid: Grid<D>,
+        setup: Setup,
+        mut shape: impl FnMut([usize; D]) -> f64,
+    ) -> Self {
         let Setup { powder, gas, gravity, solids_fraction: mean, .. } = setup;
         let layout = Layout::from(&grid);
         let zeros = || Field::zeros(layout);
@@ -232,15 +248,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let theory = KineticTheory::<f64>::new(&gas, &powder);
 
         let mut phi = zeros();
-        // White noise of exactly zero mean, at most the amplitude.
-        let mut random = rand_pcg::Pcg64::seed_from_u64(setup.seed);
-        let noise: Vec<f64> = (0..grid.len()).map(|_| random.random_range(-1.0..1.0)).collect();
-        let noise_mean = noise.iter().sum::<f64>() / noise.len() as f64;
-        let mut noise = noise.into_iter();
-        phi.set(|_| {
-            let noise = noise.next().unwrap_or_default() - noise_mean;
-            R::of(mean * (1.0 + setup.perturbation * noise))
-        });
+        phi.set(|index| R::of(mean * (1.0 + setup.perturbation * shape(index))));
         let mean = phi.mean();
 
         let mixture = powder.density * mean + gas.density * (1.0 - mean);
@@ -640,18 +648,7 @@ fn uniform_slip(setup: &Setup) -> f64 {
 fn uniform_temperature(setup: &Setup, theory: &KineticTheory<f64>, slip: f64) -> f64 {
     let phi = setup.solids_fraction;
     let drag = (1.0 - phi) * (setup.powder.density - setup.gas.density) * setup.gravity / slip;
-    let g0 = theory.radial_distribution(phi);
-    // The balance relaxes within milliseconds; a second's worth of steps has long settled.
-    (0..1000).fold(0.0, |theta, _| {
-        balance_temperature(
-            theta,
-            0.0,
-            theory.collisional_dissipation(phi, g0),
-            theory.viscous_dissipation(drag),
-            theory.slip_production(g0, slip * slip),
-            1e-3,
-        )
-    })
+    theory.steady_temperature(phi, drag, slip)
 }
 
 #[cfg(test)]
