@@ -14,10 +14,12 @@ pub fn limited_slope<R: Real>(behind: R, ahead: R) -> R {
     R::ZERO.max(a.min(b).min(c)) + R::ZERO.min(a.max(b).max(c))
 }
 
-/// Value at the face between `left` and `right`, upwind of the flux `through` it (positive from
-/// left to right), from the two cells on either side.
+/// Mean value, over a time step, of what crosses the face between `left` and `right`, upwind of
+/// the flux `through` it (positive from left to right), from the two cells on either side:
+/// second order in space and time (van Leer's MUSCL-Hancock). `courant` is the share of a cell that
+/// crosses, |u| dt/h; 0 gives the value at the face itself.
 #[inline(always)]
-pub fn upwind<R: Real>(through: R, left2: R, left: R, right: R, right2: R) -> R {
+pub fn upwind<R: Real>(through: R, courant: R, left2: R, left: R, right: R, right2: R) -> R {
     let half = R::of(0.5);
     let across = right - left;
     // Both sides' slopes share this difference; choosing inputs first leaves one limiter.
@@ -25,7 +27,7 @@ pub fn upwind<R: Real>(through: R, left2: R, left: R, right: R, right2: R) -> R 
     let base = R::select(from_left, left, right);
     let behind = R::select(from_left, left - left2, right - right2);
     let ahead = R::select(from_left, across, -across);
-    base + half * limited_slope(behind, ahead)
+    base + half * (R::ONE - courant.min(R::ONE)) * limited_slope(behind, ahead)
 }
 
 /// Harmonic mean of two positive numbers.
@@ -50,9 +52,34 @@ mod tests {
 
     #[test]
     fn face_values_are_upwind_and_exact_on_lines() {
-        assert_eq!(upwind(1.0, 0.0, 1.0, 2.0, 3.0), 1.5);
-        assert_eq!(upwind(-1.0, 0.0, 1.0, 2.0, 3.0), 1.5);
-        assert_eq!(upwind(1.0, 1.0, 1.0, 5.0, 5.0), 1.0);
-        assert_eq!(upwind(-1.0, 1.0, 1.0, 5.0, 5.0), 5.0);
+        assert_eq!(upwind(1.0, 0.0, 0.0, 1.0, 2.0, 3.0), 1.5);
+        assert_eq!(upwind(-1.0, 0.0, 0.0, 1.0, 2.0, 3.0), 1.5);
+        assert_eq!(upwind(1.0, 0.0, 1.0, 1.0, 5.0, 5.0), 1.0);
+        assert_eq!(upwind(-1.0, 0.0, 1.0, 1.0, 5.0, 5.0), 5.0);
+        // What crosses in a step that empties half, or all, of the upwind cell.
+        assert_eq!(upwind(1.0, 0.5, 0.0, 1.0, 2.0, 3.0), 1.25);
+        assert_eq!(upwind(-1.0, 1.0, 0.0, 1.0, 2.0, 3.0), 2.0);
+    }
+
+    /// Mean absolute error after a sine wave went once round `n` cells in `2 n` steps.
+    fn error_after_one_round(n: usize) -> f64 {
+        let exact: Vec<f64> =
+            (0..n).map(|i| (std::f64::consts::TAU * i as f64 / n as f64).sin()).collect();
+        let mut wave = exact.clone();
+        for _ in 0..2 * n {
+            let at = |i: usize| wave[i % n];
+            let face: Vec<f64> = (0..n)
+                .map(|i| upwind(1.0, 0.5, at(i + n - 2), at(i + n - 1), at(i), at(i + 1)))
+                .collect();
+            wave = (0..n).map(|i| wave[i] - 0.5 * (face[(i + 1) % n] - face[i])).collect();
+        }
+        wave.iter().zip(&exact).map(|(a, b)| (a - b).abs()).sum::<f64>() / n as f64
+    }
+
+    #[test]
+    fn advection_is_second_order_in_space_and_time() {
+        let [coarse, middle, fine] = [64, 128, 256].map(error_after_one_round);
+        let orders = [(coarse / middle).log2(), (middle / fine).log2()];
+        assert!(orders.iter().all(|&order| order > 1.9), "{orders:?}");
     }
 }

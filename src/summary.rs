@@ -338,13 +338,13 @@ impl fmt::Display for Summary {
         writeln!(f, "  drag correction H (solvers multiply the drag by 1 - H), ± standard error")?;
         let mut widths: Vec<f64> = self.drag_corrections.iter().map(|h| h.filter_width).collect();
         widths.dedup();
-        write!(f, "  Δ_f                ")?;
+        write!(f, "  Δ_f                     ")?;
         for found in &self.boxes {
             write!(f, "φ = {:<12}", found.solids_fraction)?;
         }
         writeln!(f)?;
         for width in widths {
-            write!(f, "  {:<19}", format!("{:.4} m = {:.2} L_I", width, width / length_i))?;
+            write!(f, "  {:<24}", format!("{:.4} m = {:.2} L_I", width, width / length_i))?;
             for found in &self.boxes {
                 let h = self.drag_corrections.iter().find(|h| {
                     h.filter_width == width && h.solids_fraction == found.solids_fraction

@@ -44,10 +44,13 @@ use transport::{Fluxes, Share};
 /// and temperature of an empty cell are defined. It takes part in no force and is not carried.
 const GHOST: f64 = 1e-7;
 
-/// Largest Courant number of the solids' and of a gas sub-step's advection, summed over the axes:
-/// forward Euler with limited slopes gives false states at 0.8, right ones at 0.4 and below, and
-/// keeps φ positive up to 0.5.
-const COURANT: f64 = 0.4;
+/// Largest Courant number of the solids' and of a gas sub-step's advection, summed over the axes of
+/// a cell. Unsplit advection with time-centred face values is stable up to 1; statistics at 0.8 and
+/// 0.4 agree within their errors (values at the old time instead give false states at 0.8).
+const COURANT: f64 = 0.8;
+
+/// Courant number up to which limited slopes alone keep φ positive.
+const SAFE_COURANT: f64 = 0.5;
 
 /// Most gas sub-steps in a step.
 const MOST_GAS_STEPS: usize = 4;
@@ -322,7 +325,10 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let courant = self.grid.spacing.map(|h| R::of(dt / h));
         let inverse_square: f64 = self.grid.spacing.iter().map(|h| 1.0 / (h * h)).sum();
 
-        self.fluxes.set(&rows, &self.phi, &self.theta, &self.solids, &self.gas);
+        self.fluxes.set(&rows, &self.phi, &self.theta, &self.solids, &self.gas, courant);
+        if dt * self.largest_courant(&self.solids) > SAFE_COURANT {
+            self.fluxes.limit(&rows, &mut self.right, &self.phi, courant);
+        }
 
         let transported = [&mut self.phi_new, &mut self.theta_new];
         transport::advect(&rows, transported, &self.phi, &self.theta, &self.fluxes, courant);
@@ -330,7 +336,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let fractions = [&self.phi, &self.phi_new];
         for axis in 0..D {
             let new = &mut self.solids_new[axis];
-            let (old, flux) = (&self.solids[axis], &self.fluxes.solids);
+            let (old, flux) = (&self.solids, &self.fluxes.solids);
             let shares = Share::solids();
             transport::advect_momentum(&rows, axis, new, old, flux, fractions, shares, courant);
         }
@@ -342,7 +348,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             let courant = courant.map(|c| c * R::of(part));
             for axis in 0..D {
                 let new = &mut self.gas_new[axis];
-                let (old, flux) = (&self.gas[axis], &self.fluxes.gas);
+                let (old, flux) = (&self.gas, &self.fluxes.gas);
                 transport::advect_momentum(&rows, axis, new, old, flux, fractions, shares, courant);
             }
             std::mem::swap(&mut self.gas, &mut self.gas_new);

@@ -92,10 +92,13 @@ impl<R: Real> KineticTheory<R> {
         R::ONE + R::of(4.0) * self.eta * phi * g0
     }
 
-    /// Square of the speed of sound of the granular gas [m²/s²]:
-    /// T {1 + 8 η φ g0 + 4 η φ² g0' + ⅔ (1 + 4 η φ g0)²}, with g0' = g0² (φ/φ_max)^(1/3) / (3 φ).
+    /// Square of the speed of sound of the granular gas \[m²/s²\]:
+    /// T {1 + 8 η φ g0 + 4 η φ² g0' + ⅔ a (1 + 4 η φ g0)²}, with g0' = g0² (φ/φ_max)^(1/3) / (3 φ).
+    ///
+    /// `adiabatic` a is the share of the heat of compression that dissipation leaves: 1 for the
+    /// isentropic speed, 0 for the isothermal.
     #[inline(always)]
-    pub fn sound_speed_squared(&self, phi: R, g0: R, temperature: R) -> R {
+    pub fn sound_speed_squared(&self, phi: R, g0: R, temperature: R, adiabatic: R) -> R {
         // (φ/φ_max)^(1/3) = 1 - 1/g0.
         let slope = phi * g0 * (g0 - R::ONE) * R::of(1.0 / 3.0);
         let compressibility = self.compressibility(phi, g0);
@@ -103,7 +106,7 @@ impl<R: Real> KineticTheory<R> {
             * (R::ONE
                 + R::of(8.0) * self.eta * phi * g0
                 + R::of(4.0) * self.eta * slope
-                + R::of(2.0 / 3.0) * compressibility * compressibility)
+                + R::of(2.0 / 3.0) * adiabatic * compressibility * compressibility)
     }
 
     /// Viscosities and conductivity at the drag coefficient per fraction K = β/φ:
@@ -334,8 +337,10 @@ mod tests {
         let by_fraction = (p(PHI + h, T) - p(PHI - h, T)) / (2.0 * h) / 1500.0;
         let g0 = theory.radial_distribution(PHI);
         let by_heat = 2.0 / 3.0 * theory.compressibility(PHI, g0).powi(2) * T;
-        let found = theory.sound_speed_squared(PHI, g0, T);
+        let found = theory.sound_speed_squared(PHI, g0, T, 1.0);
         assert!((found / (by_fraction + by_heat) - 1.0).abs() < 1e-7);
+        let isothermal = theory.sound_speed_squared(PHI, g0, T, 0.0);
+        assert!((isothermal / by_fraction - 1.0).abs() < 1e-7);
     }
 
     #[test]

@@ -152,14 +152,12 @@ pub(crate) mod tests {
     fn uniform_slip_matches_the_published_table() {
         let law = WenYu::new(&GAS, &POWDER);
         let u_t = Scales::new(&POWDER, &GAS, 9.81).terminal_velocity;
-        for (phi, expected) in [
-            (0.01, 0.9680),
-            (0.05, 0.8462),
-            (0.10, 0.7079),
-            (0.15, 0.5847),
-            (0.30, 0.3005),
-            (0.50, 0.0912),
-        ] {
+        let table = include_str!("../../data/uniform-slip.csv");
+        let mut reader =
+            csv::ReaderBuilder::new().comment(Some(b'#')).from_reader(table.as_bytes());
+        let rows: Vec<(f64, f64)> = reader.deserialize().map(Result::unwrap).collect();
+        assert_eq!(rows.len(), 10);
+        for (phi, expected) in rows {
             let found = homogeneous_slip(&law, &POWDER, &GAS, 9.81, phi) / u_t;
             assert!((found - expected).abs() < 5.1e-5, "phi {phi}: {found}");
         }

@@ -299,7 +299,13 @@ simd! {
                 let at = i + lane;
                 let (barrier, stiffness) = medium.barrier.pressure(phi[at]);
                 pressure[at] = theory.pressure(phi[at], g0[at], theta_new[at]) + barrier;
-                let c2 = theory.sound_speed_squared(phi[at], g0[at], theta_new[at]) + stiffness;
+                // Dissipation is implicit, so of the heat of compression a step keeps only this.
+                let relaxation = theory.collisional_dissipation(phi[at], g0[at])
+                    * theta_new[at].sqrt()
+                    + R::of(2.0 / 3.0) * theory.viscous_dissipation(drag[at]);
+                let adiabatic = R::ONE / (R::ONE + dt * relaxation);
+                let c2 = theory.sound_speed_squared(phi[at], g0[at], theta_new[at], adiabatic)
+                    + stiffness;
                 fastest[lane] = fastest[lane].max(c2);
             }
             i += lanes;

@@ -33,8 +33,8 @@ impl<'a, R: Real> Line<'a, R> {
     }
 
     #[inline(always)]
-    fn upwind(&self, through: R, i: usize) -> R {
-        upwind(through, self.0[0][i], self.0[1][i], self.0[2][i], self.0[3][i])
+    fn upwind(&self, through: R, courant: R, i: usize) -> R {
+        upwind(through, courant, self.0[0][i], self.0[1][i], self.0[2][i], self.0[3][i])
     }
 }
 
@@ -48,6 +48,7 @@ impl<R: Real, const D: usize> Fluxes<R, D> {
         theta: &Field<R, D>,
         solids: &Faces<R, D>,
         gas: &Faces<R, D>,
+        courant: [R; D],
     ) {
         for axis in 0..D {
             let s = rows.stride(axis);
@@ -55,9 +56,69 @@ impl<R: Real, const D: usize> Fluxes<R, D> {
                 [&mut self.solids[axis], &mut self.gas[axis], &mut self.heat[axis]],
                 |o, [fs, fg, ft]| {
                     let (phi, theta) = (Line::at(phi, o, s), Line::at(theta, o, s));
-                    flux_row(fs, fg, ft, phi, theta, solids[axis].row(o), gas[axis].row(o));
+                    let (us, ug) = (solids[axis].row(o), gas[axis].row(o));
+                    flux_row(fs, fg, ft, phi, theta, us, ug, courant[axis]);
                 },
             );
+        }
+    }
+
+    /// Scales the solids' outflow of each cell so that it takes no more than the cell holds, which
+    /// limited slopes alone ensure only up to a Courant number of one half; the gas takes what the
+    /// solids leave. `share` is scratch.
+    pub(super) fn limit(
+        &mut self,
+        rows: &Rows<D>,
+        share: &mut Field<R, D>,
+        phi: &Field<R, D>,
+        courant: [R; D],
+    ) {
+        let Self { solids, gas, heat } = self;
+        rows.each([&mut *share], |o, [share]| {
+            let fluxes =
+                std::array::from_fn(|a| [solids[a].row(o), solids[a].row(o + rows.stride(a))]);
+            share_row(share, phi.row(o), fluxes, courant);
+        });
+        for axis in 0..D {
+            let s = rows.stride(axis);
+            rows.each([&mut solids[axis], &mut gas[axis], &mut heat[axis]], |o, [fs, fg, ft]| {
+                limit_row(fs, fg, ft, [share.row(o - s), share.row(o)]);
+            });
+        }
+    }
+}
+
+simd! {
+    /// Share of a cell's outflow that it can supply.
+    fn share_row[R: Real, const D: usize](
+        share: &mut [R],
+        phi: &[R],
+        fluxes: [[&[R]; 2]; D],
+        courant: [R; D],
+    ) {
+        let n = share.len();
+        let (phi, fluxes) = (&phi[..n], by_axis(fluxes, n));
+        for i in 0..n {
+            let outflow = sum_axes!(D, fluxes, |[lower, upper], a| {
+                courant[a] * (upper[i].max(R::ZERO) - lower[i].min(R::ZERO))
+            });
+            // A trace stays behind, so that round-off cannot overdraw the cell.
+            let held = R::of(1.0 - 1e-6) * phi[i];
+            share[i] = R::select(outflow > held, held / outflow, R::ONE);
+        }
+    }
+}
+
+simd! {
+    fn limit_row[R: Real](fs: &mut [R], fg: &mut [R], ft: &mut [R], share: [&[R]; 2]) {
+        let n = fs.len();
+        let (fg, ft, share) = (&mut fg[..n], &mut ft[..n], share.map(|s| &s[..n]));
+        for i in 0..n {
+            let upwind = R::select(fs[i] > R::ZERO, share[0][i], share[1][i]);
+            let solids = upwind * fs[i];
+            fg[i] += fs[i] - solids;
+            ft[i] *= upwind;
+            fs[i] = solids;
         }
     }
 }
@@ -71,6 +132,7 @@ simd! {
         theta: Line<'_, R>,
         us: &[R],
         ug: &[R],
+        courant: R,
     ) {
         let n = fs.len();
         let (phi, theta) = (phi.cut(n), theta.cut(n));
@@ -78,10 +140,11 @@ simd! {
         for i in 0..n {
             let face = R::of(0.5) * (phi.0[1][i] + phi.0[2][i]);
             let total = face * us[i] + (R::ONE - face) * ug[i];
-            let solids = us[i] * phi.upwind(us[i], i);
+            let crossing = courant * us[i].abs();
+            let solids = us[i] * phi.upwind(us[i], crossing, i);
             fs[i] = solids;
             fg[i] = total - solids;
-            ft[i] = solids * theta.upwind(us[i], i);
+            ft[i] = solids * theta.upwind(us[i], crossing, i);
         }
     }
 }
@@ -162,18 +225,19 @@ pub(super) fn advect_momentum<R: Real, const D: usize>(
     rows: &Rows<D>,
     axis: usize,
     new: &mut Field<R, D>,
-    velocity: &Field<R, D>,
+    velocities: &Faces<R, D>,
     flux: &Faces<R, D>,
     [phi, phi_new]: [&Field<R, D>; 2],
     shares: [Share<R>; 2],
     courant: [R; D],
 ) {
     let s = rows.stride(axis);
+    let velocity = &velocities[axis];
     rows.each([new], |o, [new]| {
-        // Two neighbours on either side, then the pairs of fluxes whose means cross the lower and
-        // the upper face of the velocity's own cell.
+        // Two neighbours on either side, then the pairs of fluxes, and of velocities, whose means
+        // cross the lower and the upper face of the velocity's own cell.
         let axes = std::array::from_fn(|b| {
-            let (sb, flux) = (rows.stride(b), &flux[b]);
+            let (sb, flux, speed) = (rows.stride(b), &flux[b], &velocities[b]);
             [
                 velocity.row(o - 2 * sb),
                 velocity.row(o - sb),
@@ -183,6 +247,10 @@ pub(super) fn advect_momentum<R: Real, const D: usize>(
                 flux.row(o),
                 flux.row(o - s + sb),
                 flux.row(o + sb),
+                speed.row(o - s),
+                speed.row(o),
+                speed.row(o - s + sb),
+                speed.row(o + sb),
             ]
         });
         let fractions = [phi.row(o - s), phi.row(o), phi_new.row(o - s), phi_new.row(o)];
@@ -194,7 +262,7 @@ simd! {
     fn momentum_row[R: Real, const D: usize](
         new: &mut [R],
         u: &[R],
-        axes: [[&[R]; 8]; D],
+        axes: [[&[R]; 12]; D],
         fractions: [&[R]; 4],
         shares: [Share<R>; 2],
         courant: [R; D],
@@ -208,12 +276,15 @@ simd! {
             let before = half * (below[i] + here[i]);
             let after = half * (below_new[i] + here_new[i]);
             let share = shares.map(|s| s.constant + s.before * before + s.after * after);
-            let outflow = sum_axes!(D, axes, |[m2, m1, p1, p2, f0, f1, f2, f3], b| {
+            let outflow = sum_axes!(D, axes, |[m2, m1, p1, p2, f0, f1, f2, f3, v0, v1, v2, v3], b| {
                 let lower = half * (f0[i] + f1[i]);
                 let upper = half * (f2[i] + f3[i]);
+                let half_courant = half * courant[b];
+                let below = half_courant * (v0[i] + v1[i]).abs();
+                let above = half_courant * (v2[i] + v3[i]).abs();
                 courant[b]
-                    * (upper * upwind(upper, m1[i], u[i], p1[i], p2[i])
-                        - lower * upwind(lower, m2[i], m1[i], u[i], p1[i]))
+                    * (upper * upwind(upper, above, m1[i], u[i], p1[i], p2[i])
+                        - lower * upwind(lower, below, m2[i], m1[i], u[i], p1[i]))
             });
             let momentum = share[0] * u[i] - outflow;
             new[i] = momentum / share[1];
