@@ -168,8 +168,7 @@ impl<R: Real> KineticTheory<R> {
     /// Granular temperature of a uniform suspension at rest \[m²/s²\]: production by the `slip`
     /// velocity balances both dissipations, a T² + b T^(3/2) = c with the coefficients of the three
     /// above, at the drag coefficient per fraction K = β/φ.
-    pub fn steady_temperature(&self, phi: R, drag_per_fraction: R, slip: R) -> R {
-        let g0 = self.radial_distribution(phi);
+    pub fn steady_temperature(&self, phi: R, g0: R, drag_per_fraction: R, slip: R) -> R {
         let a = self.collisional_dissipation(phi, g0);
         let b = self.viscous_dissipation(drag_per_fraction);
         let c = self.slip_production(g0, slip * slip);
@@ -319,8 +318,8 @@ mod tests {
     fn steady_temperature_balances_the_sources() {
         let theory = KineticTheory::<f64>::new(&GAS, &POWDER);
         for (phi, slip) in [(1e-4, 0.2), (0.05, 0.18), (0.3, 0.06), (0.6, 0.005)] {
-            let t = theory.steady_temperature(phi, K, slip);
             let g0 = theory.radial_distribution(phi);
+            let t = theory.steady_temperature(phi, g0, K, slip);
             let production = theory.slip_production(g0, slip * slip) / t.sqrt();
             let loss = theory.collisional_dissipation(phi, g0) * t.powf(1.5)
                 + theory.viscous_dissipation(K) * t;
