@@ -33,9 +33,10 @@ Examples:
   favre run my-powder.toml --print-case     the same case resolved: every key, in SI
   favre run my-powder.toml --threads 4 --out tables --force
   favre run my-powder.toml --json | jq .    the summary for a script
+  favre run my-powder.toml --resume         go on with a run that was interrupted
 
-Ctrl-C ends a run and leaves nothing half-written. Exit status: 0 done, 1 failed while running,
-2 misuse, 130 interrupted.";
+Ctrl-C ends a run, leaves nothing half-written and keeps its state beside the output folder, in
+DIR.checkpoint. Exit status: 0 done, 1 failed while running, 2 misuse, 130 interrupted.";
 
 const STABILITY_EXAMPLES: &str = "\
 Examples:
@@ -77,6 +78,12 @@ pub struct Run {
     /// Replace the results of an earlier run, once the new ones are complete
     #[arg(long)]
     pub force: bool,
+    /// Go on with the interrupted run of this case and folder, as if it had not been interrupted
+    #[arg(long)]
+    pub resume: bool,
+    /// Keep the state of an unfinished run this often, to go on from after a crash; 0: never
+    #[arg(long, value_name = "N", default_value = "5", value_parser = minutes)]
+    pub checkpoint_minutes: f64,
     /// Threads to use [default: one per core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
     pub threads: Option<u16>,
@@ -110,6 +117,14 @@ pub struct Stability {
     /// Print growth rates and needs as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+/// Longest time between checkpoints [minutes]: a year.
+const LONGEST: f64 = 525_600.0;
+
+fn minutes(text: &str) -> Result<f64, String> {
+    let minutes = text.parse().ok().filter(|minutes| (0.0..=LONGEST).contains(minutes));
+    minutes.ok_or_else(|| format!("a number of minutes from 0 to {LONGEST} is accepted"))
 }
 
 /// `favre bench`.

@@ -32,6 +32,7 @@ pub mod model;
 pub mod table;
 
 pub mod bench;
+pub mod checkpoint;
 pub mod figure;
 pub mod output;
 pub mod pipeline;

@@ -6,12 +6,14 @@ mod interrupt;
 use std::error::Error;
 use std::fmt::Display;
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 
 use clap::Parser;
 use favre::bench;
 use favre::case::{Case, DEFAULT};
+use favre::checkpoint::Checkpoints;
 use favre::output::Output;
 use favre::pipeline::{self, RunError, RunOptions};
 
@@ -77,16 +79,15 @@ fn run(args: &cli::Run) -> Result<(), Failure> {
     let interrupt = Interrupt::install();
     let default = Path::new("favre-out").join(&case.name);
     let dir = args.out.as_deref().unwrap_or(&default);
-    let mut output = Output::create(dir, args.force).map_err(Failure::misuse)?;
+    let (mut output, checkpoints) = prepare(args, &case, dir)?;
     interrupt.partial.get_or_init(|| output.partial().to_owned());
     let options = RunOptions { threads: args.threads.map_or(0, usize::from), quiet: args.quiet };
-    let summary =
-        pipeline::run(&case, &mut output, &options, &interrupt.stop).map_err(|error| {
-            let status =
-                if matches!(error, RunError::Interrupted { .. }) { INTERRUPTED } else { FAILED };
-            Failure { status, error: error.into() }
-        })?;
-    let dir = output.commit().map_err(Failure::failed)?;
+    let summary = pipeline::run(&case, &mut output, &checkpoints, &options, &interrupt.stop)
+        .map_err(|error| failure(error, args, &checkpoints))?;
+    let dir = output.commit().map_err(|error| failure(error.into(), args, &checkpoints))?;
+    if let Err(error) = checkpoints.remove() {
+        say(format_args!("favre: warning: {}", chain(&error)));
+    }
     if !args.quiet {
         say(format_args!("favre: results are in {}", dir.display()));
     }
@@ -95,6 +96,60 @@ fn run(args: &cli::Run) -> Result<(), Failure> {
         (false, true) => Ok(()),
         (false, false) => print(&summary),
     }
+}
+
+/// The output folder of a run, and what is kept of it until it is complete.
+fn prepare(args: &cli::Run, case: &Case, dir: &Path) -> Result<(Output, Checkpoints), Failure> {
+    let seconds = 60.0 * args.checkpoint_minutes;
+    let interval = (seconds > 0.0).then(|| Duration::from_secs_f64(seconds));
+    if args.resume && args.force {
+        let message = "--resume goes on with an interrupted run and --force starts anew: give one \
+                       of the two; a run begun with --force goes on with --resume alone";
+        return Err(Failure::misuse(message));
+    }
+    if args.resume {
+        let kept = Checkpoints::resume(dir, case, interval).map_err(Failure::misuse)?;
+        let output = Output::create(dir, kept.replaces()).map_err(Failure::misuse)?;
+        Ok((output, kept))
+    } else {
+        // The output folder first: it shuts out other runs.
+        let output = Output::create(dir, args.force).map_err(Failure::misuse)?;
+        let kept = Checkpoints::start(dir, case, interval, args.force).map_err(Failure::misuse)?;
+        Ok((output, kept))
+    }
+}
+
+/// What to say of a run that did not end, and how to go on with it.
+fn failure(error: RunError, args: &cli::Run, checkpoints: &Checkpoints) -> Failure {
+    let status = if matches!(error, RunError::Interrupted { .. }) { INTERRUPTED } else { FAILED };
+    // A box that failed would fail again.
+    if checkpoints.is_empty() || matches!(error, RunError::Simulate(_)) {
+        return Failure { status, error: error.into() };
+    }
+    let message = format!(
+        "{}; what was simulated is kept in {}, go on with `{}`",
+        chain(&error),
+        checkpoints.dir().display(),
+        command_to_go_on(args)
+    );
+    Failure { status, error: message.into() }
+}
+
+/// The command that goes on with the run of `args`, as it is typed into a shell.
+fn command_to_go_on(args: &cli::Run) -> String {
+    let path = |path: &PathBuf| path.display().to_string();
+    let options = [("", args.case.as_ref().map(path)), ("--out", args.out.as_ref().map(path))];
+    let duration = ("--duration", args.duration.clone());
+    let mut command = "favre run".to_owned();
+    for (option, value) in options.into_iter().chain([duration]) {
+        let Some(value) = value else { continue };
+        let plain = |c: char| c.is_alphanumeric() || "/._-+=,:".contains(c);
+        let quoted = format!("'{}'", value.replace('\'', r"'\''"));
+        let value = if !value.is_empty() && value.chars().all(plain) { value } else { quoted };
+        let space = if option.is_empty() { "" } else { " " };
+        command += &format!(" {option}{space}{value}");
+    }
+    command + " --resume"
 }
 
 fn stability(args: &cli::Stability) -> Result<(), Failure> {

@@ -112,7 +112,7 @@ pub enum OutputError {
         source: io::Error,
     },
     /// A file cannot be written.
-    #[error("cannot write {path}, so nothing of this run was kept", path = path.display())]
+    #[error("cannot write {path}, so this run left no results", path = path.display())]
     Write {
         /// The file, by the name that it was to have.
         path: PathBuf,
@@ -335,7 +335,7 @@ fn is_empty(dir: &Path) -> bool {
 }
 
 /// `dir` with `suffix` at the end of its name: on the same disk, so that a rename is one step.
-fn beside(dir: &Path, suffix: &str) -> PathBuf {
+pub(crate) fn beside(dir: &Path, suffix: &str) -> PathBuf {
     let mut name = dir.file_name().map_or_else(OsString::new, OsString::from);
     name.push(suffix);
     dir.with_file_name(name)

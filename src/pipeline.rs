@@ -1,6 +1,7 @@
 //! [`run`]: from a case to the files of a run, stage by stage; [`stability`] likewise.
 
 use crate::case::{Case, DragChoice, Precision};
+use crate::checkpoint::{CheckpointError, Checkpoints};
 use crate::figure::{self, FigureError};
 use crate::fit::{Fit, FitError, ReferenceLength, fit};
 use crate::forms::SaturatingDrag;
@@ -11,7 +12,7 @@ use crate::model::{
 use crate::output::{Output, OutputError, RUN_FILE};
 use crate::progress::Progress;
 use crate::series::Onset;
-use crate::simulate::{SimulateError, Simulated, simulate};
+use crate::simulate::{SimulateError, Simulated, Underway, simulate_from};
 use crate::stability::{self, Stability, StabilityError};
 use crate::statistics::{MergeError, Sums, bin_table};
 use crate::summary::{BoxSummary, Machine, Summary};
@@ -19,7 +20,6 @@ use crate::table::{BinRow, write_rows};
 use std::io::{self, Write};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::Instant;
 
 /// How to run, as opposed to what.
 #[derive(Clone, Copy, Debug)]
@@ -40,10 +40,16 @@ pub enum RunError {
         done: f64,
         /// Simulated time asked for, of all boxes \[s\].
         of: f64,
+        /// Why it could not be kept, if a box could not.
+        #[source]
+        lost: Option<CheckpointError>,
     },
     /// A box could not be simulated.
     #[error(transparent)]
-    Simulate(SimulateError),
+    Simulate(#[from] SimulateError),
+    /// What was kept of a box cannot be read.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
     /// The boxes' sums do not fit together.
     #[error(transparent)]
     Merge(#[from] MergeError),
@@ -66,7 +72,8 @@ pub enum RunError {
     Output(#[from] OutputError),
 }
 
-/// Runs `case` and fills `output`, which the caller commits. Ends early once `stop` is set.
+/// Runs `case` and fills `output`, which the caller commits. Ends early once `stop` is set. Goes on
+/// with what was kept in `checkpoints`, and keeps the boxes there, until the caller removes them.
 ///
 /// A bin table without a closure is a result too: when no closure can be fitted, the summary says
 /// why.
@@ -76,17 +83,17 @@ pub enum RunError {
 pub fn run(
     case: &Case,
     output: &mut Output,
+    checkpoints: &Checkpoints,
     options: &RunOptions,
     stop: &AtomicBool,
 ) -> Result<Summary, RunError> {
-    let begin = Instant::now();
     let threads = match options.threads {
         0 => std::thread::available_parallelism().map_or(1, usize::from),
         threads => threads,
     };
     let scales = Scales::new(&case.powder, &case.gas, case.physics.gravity);
 
-    let boxes = simulate_boxes(case, &scales, threads, options.quiet, stop)?;
+    let boxes = simulate_boxes(case, &scales, checkpoints, threads, options.quiet, stop)?;
     let (sums, boxes): (Vec<Sums>, Vec<(Simulated, BoxSummary)>) = boxes
         .into_iter()
         .map(|simulated| {
@@ -102,7 +109,7 @@ pub fn run(
         boxes.iter().map(|(_, summary)| summary.clone()).collect(),
         &bins,
         model.as_ref().map_err(ToString::to_string),
-        Machine { threads, seconds: begin.elapsed().as_secs_f64(), ..Machine::here() },
+        Machine { threads, seconds: checkpoints.seconds(), ..Machine::here() },
     );
     export(case, output, &boxes, &bins, model.as_ref().ok(), &summary)?;
     Ok(summary)
@@ -128,6 +135,7 @@ pub fn stability(case: &Case, output: &Output) -> Result<Stability, RunError> {
 fn simulate_boxes(
     case: &Case,
     scales: &Scales,
+    checkpoints: &Checkpoints,
     threads: usize,
     quiet: bool,
     stop: &AtomicBool,
@@ -135,7 +143,8 @@ fn simulate_boxes(
     let fractions = &case.domain.solids_fractions;
     let progress = Progress::new(quiet, scales.terminal_velocity);
     let (next, failed) = (AtomicUsize::new(0), AtomicBool::new(false));
-    let results: Mutex<Vec<Option<Result<Simulated, SimulateError>>>> =
+    let lost = Mutex::new(None);
+    let results: Mutex<Vec<Option<Result<Simulated, RunError>>>> =
         Mutex::new(fractions.iter().map(|_| None).collect());
     let one_each = fractions.len() >= threads;
     let work = || {
@@ -143,7 +152,8 @@ fn simulate_boxes(
             let place = next.fetch_add(1, Ordering::Relaxed);
             let Some(&fraction) = fractions.get(place) else { return };
             let halt = || stop.load(Ordering::Relaxed) || failed.load(Ordering::Relaxed);
-            let result = simulate_box(case, fraction, !one_each, &halt, &progress);
+            let result =
+                simulate_box(case, fraction, checkpoints, !one_each, &halt, &progress, &lost);
             failed.fetch_or(result.is_err(), Ordering::Relaxed);
             // A panic elsewhere poisons the lock, and ends the run anyway.
             if let Ok(mut results) = results.lock() {
@@ -174,7 +184,7 @@ fn simulate_boxes(
                 done += case.run.duration;
                 boxes.push(simulated);
             }
-            Err(SimulateError::Interrupted { time }) => {
+            Err(RunError::Simulate(SimulateError::Interrupted { time })) => {
                 done += time;
                 interrupted = true;
             }
@@ -182,32 +192,55 @@ fn simulate_boxes(
         }
     }
     match failure {
-        Some(error) => Err(RunError::Simulate(error)),
-        None if interrupted => {
-            Err(RunError::Interrupted { done, of: case.run.duration * fractions.len() as f64 })
-        }
+        Some(error) => Err(error),
+        None if interrupted => Err(RunError::Interrupted {
+            done,
+            of: case.run.duration * fractions.len() as f64,
+            lost: lost.into_inner().unwrap_or_default(),
+        }),
         None => Ok(boxes),
     }
 }
 
-/// Simulates one box: the one place that picks precision and dimension.
+/// Simulates one box, or what is left of it: the one place that picks precision and dimension. Why
+/// it could not be kept is left in `lost`.
 fn simulate_box(
     case: &Case,
     fraction: f64,
+    checkpoints: &Checkpoints,
     parallel: bool,
     stop: &dyn Fn() -> bool,
     progress: &Progress,
-) -> Result<Simulated, SimulateError> {
+    lost: &Mutex<Option<CheckpointError>>,
+) -> Result<Simulated, RunError> {
+    let kept = checkpoints.kept(fraction)?;
+    let mut keeper = checkpoints.keeper(fraction);
+    let keep = |moment, underway: &Underway| {
+        if let Err(error) = keeper.keep(moment, underway) {
+            progress.say(&format!("warning: {error}"));
+            if let Ok(mut lost) = lost.lock() {
+                *lost = Some(error);
+            }
+        }
+    };
     let mut bar = progress.start(fraction, case.run.duration);
     let watch = |signals: &_, steps| bar.update(signals, steps);
     let result = match (case.run.precision, case.domain.size.len()) {
-        (Precision::Double, 2) => simulate::<f64, 2>(case, fraction, parallel, stop, watch),
-        (Precision::Double, _) => simulate::<f64, 3>(case, fraction, parallel, stop, watch),
-        (Precision::Single, 2) => simulate::<f32, 2>(case, fraction, parallel, stop, watch),
-        (Precision::Single, _) => simulate::<f32, 3>(case, fraction, parallel, stop, watch),
+        (Precision::Double, 2) => {
+            simulate_from::<f64, 2>(case, fraction, parallel, stop, watch, kept, keep)
+        }
+        (Precision::Double, _) => {
+            simulate_from::<f64, 3>(case, fraction, parallel, stop, watch, kept, keep)
+        }
+        (Precision::Single, 2) => {
+            simulate_from::<f32, 2>(case, fraction, parallel, stop, watch, kept, keep)
+        }
+        (Precision::Single, _) => {
+            simulate_from::<f32, 3>(case, fraction, parallel, stop, watch, kept, keep)
+        }
     };
     bar.finish();
-    result
+    Ok(result?)
 }
 
 /// The sums of a box from the time on from which it was steady, and what its signals say. A box

@@ -212,7 +212,8 @@ simd! {
 }
 
 simd! {
-    fn residual_row[const D: usize](out: &mut [Fast], stencil: Stencil<'_, Fast, D>, right: &[Fast]) {
+    /// b - A x.
+    fn residual_row[R: Real, const D: usize](out: &mut [R], stencil: Stencil<'_, R, D>, right: &[R]) {
         let n = out.len();
         let (x, axes) = (&stencil.x[..n], by_axis(stencil.axes, n));
         let right = &right[..n];
@@ -361,8 +362,8 @@ impl<R: Real, const D: usize> Poisson<R, D> {
         }
     }
 
-    /// Solves for `x`, from zero, until the largest residual is at most `tolerance`, or until it
-    /// stops falling, or for at most `most` iterations. The mean of `right` must vanish; that of
+    /// Solves for `x`, from what it is, until the largest residual is at most `tolerance`, or until
+    /// it stops falling, or for at most `most` iterations. The mean of `right` must vanish; that of
     /// `x` is left at what it comes to.
     pub fn solve(
         &mut self,
@@ -372,12 +373,12 @@ impl<R: Real, const D: usize> Poisson<R, D> {
         most: usize,
     ) -> Solve {
         let rows = self.rows;
+        let (weights, start) = (&self.weights, &*x);
         let mut worst = rows
             .reduce(
-                [&mut *x, &mut self.residual],
-                &|o, [x, residual]| {
-                    x.fill(R::ZERO);
-                    residual.copy_from_slice(right.row(o));
+                [&mut self.residual],
+                &|o, [residual]| {
+                    residual_row(residual, Stencil::at(weights, start, o, &rows), right.row(o));
                     max_abs(residual)
                 },
                 &R::max,

@@ -8,8 +8,9 @@ use crate::laws::drag::WenYu;
 use crate::laws::scales::Scales;
 use crate::real::Real;
 use crate::series::{Onset, steady_start};
-use crate::statistics::{Bins, Sampler, Sums};
-use crate::two_fluid::{Limit, Means, Setup, StepError, TwoFluid};
+use crate::statistics::{Bins, MergeError, Sampler, Sums};
+use crate::two_fluid::{Limit, Means, Setup, StateError, StepError, TwoFluid};
+use std::io::{self, Read, Write};
 
 /// Sampling intervals in a block of time, the smallest unit of the error estimate.
 const SAMPLES_PER_BLOCK: f64 = 4.0;
@@ -110,11 +111,61 @@ pub enum SimulateError {
     /// A filter does not fit the box.
     #[error(transparent)]
     Filter(#[from] FilterError),
+    /// The fields that were kept are not of this box.
+    #[error("what was kept of the box does not fit it")]
+    State(#[from] StateError),
+    /// The sums that were kept are not of this box.
+    #[error("what was kept of the box does not fit it")]
+    Sums(#[from] MergeError),
+}
+
+/// A box between two steps: all that is needed to go on with it later.
+pub struct Underway<'a> {
+    /// Simulated time \[s\].
+    pub time: f64,
+    /// The signals so far; the first sample is the start.
+    pub signals: &'a Signals,
+    /// What it cost so far; its changes of mass and momentum are known only at the end.
+    pub cost: Cost,
+    /// Sums of the samples so far.
+    pub sums: &'a Sums,
+    /// Writes [`TwoFluid::save_state`].
+    pub write_flow: &'a dyn Fn(&mut dyn Write) -> io::Result<()>,
+}
+
+/// What was kept of an [`Underway`].
+pub struct Kept {
+    /// Simulated time \[s\].
+    pub time: f64,
+    /// Its signals.
+    pub signals: Signals,
+    /// Its cost.
+    pub cost: Cost,
+    /// Its sums.
+    pub sums: Sums,
+    /// Reads what [`Underway::write_flow`] wrote.
+    pub flow: Box<dyn Read>,
+}
+
+/// When a box may be kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Moment {
+    /// After a step.
+    Step,
+    /// Asked to stop.
+    Stop,
+    /// At its end; to go on from here is to simulate it for longer.
+    End,
+}
+
+/// Samples in a run of the case.
+pub fn samples(case: &Case) -> u64 {
+    (case.run.duration / case.run.sample_interval).round().max(1.0) as u64
 }
 
 /// Simulates the box of mean solids fraction `solids_fraction`, filtering as it goes. `parallel`
 /// lets a step use the threads of the current pool. `watch` is called after each sample with the
-/// signals so far and the number of steps.
+/// signals so far and the number of steps that this call has done.
 ///
 /// # Errors
 /// `stop` said so, a step failed, or a filter does not fit.
@@ -126,7 +177,28 @@ pub fn simulate<R: Real, const D: usize>(
     solids_fraction: f64,
     parallel: bool,
     stop: &dyn Fn() -> bool,
+    watch: impl FnMut(&Signals, u64),
+) -> Result<Simulated, SimulateError> {
+    simulate_from::<R, D>(case, solids_fraction, parallel, stop, watch, None, |_, _| {})
+}
+
+/// [`simulate`] from what was `kept` of the same case and box, which may have been asked for
+/// another duration, no shorter than what was simulated: to the same bits as without a break.
+/// `keep` is called whenever the box may be kept.
+///
+/// # Errors
+/// As [`simulate`], or what was kept is of another box.
+///
+/// # Panics
+/// When the case's dimension is not `D`.
+pub fn simulate_from<R: Real, const D: usize>(
+    case: &Case,
+    solids_fraction: f64,
+    parallel: bool,
+    stop: &dyn Fn() -> bool,
     mut watch: impl FnMut(&Signals, u64),
+    kept: Option<Kept>,
+    mut keep: impl FnMut(Moment, &Underway),
 ) -> Result<Simulated, SimulateError> {
     let begin = std::time::Instant::now();
     let Case { powder, gas, domain, physics, filter, run, .. } = case;
@@ -158,15 +230,28 @@ pub fn simulate<R: Real, const D: usize>(
     let mut sampler = Sampler::new(grid, law, scales, bins, &filter.widths, block)?;
 
     let mut fine = FineFields::zeros(grid);
-    let mut signals = Signals::default();
-    let mut cost = Cost::default();
     let start = flow.means();
+    let (mut signals, mut cost) = (Signals::default(), Cost::default());
     signals.push(0.0, &start);
-    let samples = (run.duration / run.sample_interval).round().max(1.0) as u64;
-    for sample in 1..=samples {
+    if let Some(mut kept) = kept {
+        flow.restore_state(&mut kept.flow)?;
+        sampler.resume(kept.sums)?;
+        (signals, cost) = (kept.signals, kept.cost);
+        // For the picture of a box that is at its end already; else the next sample overwrites it.
+        flow.fields(&mut fine);
+    }
+    let before = cost;
+    let seconds = || before.seconds + begin.elapsed().as_secs_f64();
+    let mut keep = |moment, flow: &TwoFluid<R, D>, signals: &_, cost, sums: &_| {
+        let cost = Cost { seconds: seconds(), ..cost };
+        let write_flow = &|to: &mut dyn Write| flow.save_state(to);
+        keep(moment, &Underway { time: flow.time(), signals, cost, sums, write_flow });
+    };
+    for sample in signals.time.len() as u64..=samples(case) {
         let until = sample as f64 * run.sample_interval;
         while flow.time() < until {
             if stop() {
+                keep(Moment::Stop, &flow, &signals, cost, sampler.sums());
                 return Err(SimulateError::Interrupted { time: flow.time() });
             }
             let step = flow
@@ -177,19 +262,21 @@ pub fn simulate<R: Real, const D: usize>(
             cost.gas_steps += step.gas_steps as u64;
             cost.limited_by[place(step.limit)] += 1;
             cost.volume_residual = cost.volume_residual.max(step.volume_residual);
+            keep(Moment::Step, &flow, &signals, cost, sampler.sums());
         }
         signals.push(until, &flow.means());
         flow.fields(&mut fine);
         sampler.sample(&fine);
-        watch(&signals, cost.steps);
+        watch(&signals, cost.steps - before.steps);
     }
+    keep(Moment::End, &flow, &signals, cost, sampler.sums());
     let end = flow.means();
     let scale = powder.density * solids_fraction * scales.terminal_velocity;
     cost.mass_change = end.solids_fraction / start.solids_fraction - 1.0;
     cost.momentum_change = (0..D)
         .map(|axis| (end.momentum[axis] - start.momentum[axis]).abs() / scale)
         .fold(0.0, f64::max);
-    cost.seconds = begin.elapsed().as_secs_f64();
+    cost.seconds = seconds();
     Ok(Simulated {
         solids_fraction,
         uniform_slip: flow.uniform_slip(),

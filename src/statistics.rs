@@ -345,6 +345,24 @@ impl<const D: usize, L: DragLaw<f64>> Sampler<D, L> {
         &self.sums
     }
 
+    /// Goes on from the sums of an interrupted run, in place of its own, as if never interrupted.
+    ///
+    /// # Errors
+    /// [`MergeError`] if the widths, bins or block durations differ.
+    pub fn resume(&mut self, sums: Sums) -> Result<(), MergeError> {
+        self.sums.matches(&sums)?;
+        self.sums = sums;
+        self.rows.iter_mut().for_each(|rows| rows.fill(UNVISITED));
+        if let Some(block) = self.sums.blocks.last() {
+            for (rows, visited) in self.rows.iter_mut().zip(&block.widths) {
+                for (place, sums) in visited.iter().enumerate() {
+                    rows[sums.bin] = place as u32;
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// The sums, at the end.
     pub fn into_sums(self) -> Sums {
         self.sums
@@ -651,6 +669,27 @@ mod tests {
             let size = expected.value.abs().max(1.0);
             assert!((found.value - expected.value).abs() < 1e-12 * size, "{found:?}");
         }
+    }
+
+    #[test]
+    fn a_sampler_goes_on_within_a_block_to_the_same_bits() {
+        let grid = Grid::new([0.032, 0.016], [16, 8]);
+        let whole = sampled(grid, &[0.004, 0.008], Some(0.2), 0..12);
+        for cut in [0, 1, 6, 7] {
+            // What the sampler saw before it was handed the sums is forgotten.
+            let mut sampler = sampler(grid, &[0.004, 0.008], Some(0.2));
+            sampler.sample(&random_fields(grid, 99));
+            sampler.resume(sampled(grid, &[0.004, 0.008], Some(0.2), 0..cut)).unwrap();
+            for instant in cut..12 {
+                let mut fields = random_fields(grid, instant);
+                fields.time = 0.005 * instant as f64;
+                sampler.sample(&fields);
+            }
+            assert_eq!(sampler.into_sums(), whole, "cut at instant {cut}");
+        }
+        let other = sampled(grid, &[0.004], Some(0.2), 0..1);
+        let refused = sampler(grid, &[0.008], Some(0.2)).resume(other);
+        assert!(matches!(refused, Err(MergeError::Widths { .. })));
     }
 
     #[test]

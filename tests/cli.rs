@@ -406,7 +406,7 @@ fn an_interrupt_ends_the_run_and_leaves_nothing() {
         fs::write(dir.path().join("case.toml"), CASE).unwrap();
         let child = Command::new(cargo_bin!("favre"))
             .current_dir(dir.path())
-            .args(["run", "case.toml", "--duration", "1e6 u_t/g"])
+            .args(["run", "case.toml", "--duration", "1e6 u_t/g", "--checkpoint-minutes", "0"])
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
@@ -446,7 +446,7 @@ fn a_disk_that_takes_no_more_is_a_failure_that_leaves_nothing() {
     let message = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(message.starts_with("favre: cannot write favre-out/case/"), "{message}");
-    assert!(message.contains("nothing of this run was kept: File too large"), "{message}");
+    assert!(message.contains("this run left no results: File too large"), "{message}");
     assert_eq!(names(dir.path()), ["case.toml"]);
 }
 

@@ -31,10 +31,11 @@ const ALLOWED: &[(&str, &str)] = &[
     ("figure", "fit forms model stability table"),
     ("output", ""),
     ("progress", "series simulate"),
+    ("checkpoint", "case filtered output simulate stability statistics"),
     ("summary", "case laws model rows series simulate stability table"),
     (
         "pipeline",
-        "case figure fit forms laws model output progress series simulate stability statistics summary table",
+        "case checkpoint figure fit forms laws model output progress series simulate stability statistics summary table",
     ),
     ("bench", "case grid real rows simulate"),
 ];
