@@ -21,6 +21,7 @@ Examples:
   favre run --print-case > my-powder.toml   write a commented case file, to be edited
   favre run my-powder.toml                  run it; tables go to favre-out/my-powder
   favre run my-powder.toml --duration '50 u_t/g' --out trial
+  favre stability my-powder.toml            what grid and box its instability asks for
   favre bench --quick                       how fast this machine is
 
 Exit status: 0 done, 1 failed while running, 2 misuse, 130 interrupted.";
@@ -37,6 +38,13 @@ Examples:
 Ctrl-C ends a run, leaves nothing half-written and keeps its state beside the output folder, in
 DIR.checkpoint. Exit status: 0 done, 1 failed while running, 2 misuse, 130 interrupted.";
 
+const STABILITY_EXAMPLES: &str = "\
+Examples:
+  favre stability my-powder.toml            table and figure go to favre-out/my-powder-stability
+  favre stability my-powder.toml --json | jq '.states[].need'
+
+Exit status: 0 done, 1 failed, 2 misuse.";
+
 /// Closures on demand for coarse-grid gas-particle flow: simulate, filter, bin, fit, export.
 #[derive(Debug, Parser)]
 #[command(name = "favre", version, after_help = EXAMPLES)]
@@ -51,6 +59,8 @@ pub struct Cli {
 pub enum Command {
     /// Simulate, filter, bin and fit one case
     Run(Run),
+    /// Growth of waves on a case's uniform state, and the grid and box they ask for
+    Stability(Stability),
     /// Measure how fast this machine runs the kernels
     Bench(Bench),
 }
@@ -89,6 +99,24 @@ pub struct Run {
     /// Simulated time of each box, instead of the case's: seconds, or text such as '20 u_t/g'
     #[arg(long, value_name = "T", allow_hyphen_values = true)]
     pub duration: Option<String>,
+}
+
+/// `favre stability`.
+#[derive(Args, Debug)]
+#[command(after_help = STABILITY_EXAMPLES)]
+pub struct Stability {
+    /// The case file
+    #[arg(value_name = "CASE.toml")]
+    pub case: PathBuf,
+    /// Folder for the results [default: favre-out/ and the case's name with -stability]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Replace earlier results, once the new ones are complete
+    #[arg(long)]
+    pub force: bool,
+    /// Print growth rates and needs as JSON
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Longest time between checkpoints [minutes]: a year.

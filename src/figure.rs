@@ -6,6 +6,7 @@
 use crate::fit::ReferenceLength;
 use crate::forms::Marker;
 use crate::model::Model;
+use crate::stability::{Mode, Stability};
 use crate::table::BinRow;
 use kuva::plot::annotations::{ReferenceLine, ShadedRegion};
 use kuva::plot::legend::{LegendEntry, LegendPosition, LegendShape};
@@ -231,6 +232,74 @@ pub fn series_figure(times: &[f64], slip: &[f64], start: f64, uniform: f64) -> F
     Figure { scene: render_multiple(plots, layout) }
 }
 
+/// Growth rate against wavelength, one colour for each mean solids fraction, solid for vertical and
+/// dashed for horizontal waves; what is too short for two cells of edge `cell` \[m\] shaded. Waves
+/// that decay fast are left out.
+pub fn stability_figure(found: &Stability, cell: f64) -> Figure {
+    let ends = |angle: f64| angle == 0.0 || angle == 90.0;
+    let drawn: Vec<_> = found
+        .states
+        .iter()
+        .enumerate()
+        .flat_map(|(i, state)| state.directions.iter().map(move |d| (i, state.solids_fraction, d)))
+        .filter(|(_, _, direction)| ends(direction.angle))
+        .collect();
+    let rates = drawn.iter().flat_map(|(_, _, d)| d.fastest.map(|mode| mode.growth_rate));
+    let top = rates.fold(0.0, f64::max);
+    // Where nothing grows, what decays slowest is of interest.
+    let slowest = |modes: &[Mode]| modes.iter().map(|m| -m.growth_rate).fold(0.0, f64::max);
+    let bottom = match top > 0.0 {
+        true => -DECAY_SHOWN * top,
+        false => drawn.iter().map(|(_, _, d)| -slowest(&d.modes)).fold(0.0, f64::min),
+    };
+    let mut plots = Vec::new();
+    let mut entries = Vec::new();
+    let (mut low, mut high) = (2.0 * cell, 2.0 * cell);
+    for (i, fraction, direction) in drawn {
+        let colour = COLOURS[i % COLOURS.len()];
+        let longest = direction.fastest.map_or(f64::INFINITY, |m| LONGEST_SHOWN * m.wavelength);
+        let shown = |mode: &&Mode| mode.growth_rate >= bottom && mode.wavelength <= longest;
+        let modes: Vec<&Mode> = direction.modes.iter().filter(shown).collect();
+        low = modes.first().map_or(low, |mode| low.min(mode.wavelength));
+        high = modes.last().map_or(high, |mode| high.max(mode.wavelength));
+        let curve = modes.iter().map(|mode| (1e3 * mode.wavelength, mode.growth_rate));
+        let line = LinePlot::new().with_data(curve).with_color(colour).with_stroke_width(2.0);
+        let vertical = direction.angle == 0.0;
+        plots.push(Plot::Line(if vertical { line } else { line.with_dashed() }));
+        entries.push(LegendEntry {
+            label: format!("⟨φ⟩ = {} {}", significant(fraction), direction.name()),
+            color: colour.into(),
+            shape: LegendShape::Line,
+            dasharray: (!vertical).then(|| "8 4".into()),
+        });
+    }
+    let layout = frame(Layout::auto_from_plots(&plots), 860.0, 500.0)
+        .with_log_x()
+        .with_x_label("wavelength [mm]")
+        .with_y_label("growth rate [1/s]")
+        .with_x_axis_min(1e3 * low)
+        .with_x_axis_max(1e3 * high)
+        .with_y_axis_min(bottom)
+        .with_y_axis_max(1.1 * top)
+        .with_shaded_region(
+            ShadedRegion::vertical(1e3 * low, 2e3 * cell).with_color("#888888").with_opacity(0.15),
+        )
+        .with_reference_line(ReferenceLine::horizontal(0.0).with_color("#444444"))
+        .with_reference_line(
+            ReferenceLine::vertical(2e3 * cell).with_color("#444444").with_label("two cells"),
+        )
+        .with_legend_entries(entries)
+        .with_legend_position(LegendPosition::OutsideRightTop)
+        .with_legend_box(false);
+    Figure { scene: render_multiple(plots, layout) }
+}
+
+/// Decay shown beneath the axis of a stability figure, of the fastest growth.
+const DECAY_SHOWN: f64 = 0.25;
+
+/// Longest wave shown, in wavelengths of the fastest.
+const LONGEST_SHOWN: f64 = 60.0;
+
 /// The common look: size, fonts, box, ticks inwards.
 fn frame(layout: Layout, width: f64, height: f64) -> Layout {
     layout
@@ -253,8 +322,10 @@ fn significant(x: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::case::{Case, DEFAULT};
     use crate::fit::tests::{WIDTHS, synthetic};
     use crate::model::tests::model;
+    use crate::stability::stability;
     use std::f64::consts::TAU;
 
     /// Noise of the cells' scale on clusters of `columns`/7: harder to compress than a snapshot.
@@ -313,6 +384,26 @@ mod tests {
         {
             assert!(svg.contains(text), "{text}");
         }
+    }
+
+    #[test]
+    fn stability_figure_names_its_axes_and_waves() {
+        let mut case = Case::parse(DEFAULT, "default").unwrap();
+        case.domain.solids_fractions = vec![0.05, 0.15];
+        let mut found = stability(&case).unwrap();
+        let figure = stability_figure(&found, 1.25e-3);
+        let svg = figure.svg();
+        for text in ["wavelength [mm]", "growth rate [1/s]", "⟨φ⟩ = 0.15 horizontal", "two cells"]
+        {
+            assert!(svg.contains(text), "{text}");
+        }
+        assert_eq!(drawn(&figure).1, [1720, 1000]);
+        // Where nothing grows the figure still stands.
+        for direction in found.states.iter_mut().flat_map(|state| &mut state.directions) {
+            direction.modes.retain(|mode| mode.growth_rate < 0.0);
+            direction.fastest = None;
+        }
+        assert!(drawn(&stability_figure(&found, 1e-3)).0 > 0);
     }
 
     #[test]

@@ -23,6 +23,7 @@ pub mod filtered;
 pub mod moments;
 pub mod series;
 pub mod simulate;
+pub mod stability;
 pub mod statistics;
 
 pub mod fit;

@@ -44,6 +44,7 @@ impl Failure {
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Some(Command::Run(args)) => run(&args),
+        Some(Command::Stability(args)) => stability(&args),
         Some(Command::Bench(args)) => bench(&args),
         None => Err(Failure::misuse(cli::WELCOME)),
     };
@@ -149,6 +150,20 @@ fn command_to_go_on(args: &cli::Run) -> String {
         command += &format!(" {option}{space}{value}");
     }
     command + " --resume"
+}
+
+fn stability(args: &cli::Stability) -> Result<(), Failure> {
+    let case = Case::load(&args.case).map_err(Failure::misuse)?;
+    for warning in case.warnings() {
+        say(format_args!("favre: warning: {warning}"));
+    }
+    let default = Path::new("favre-out").join(format!("{}-stability", case.name));
+    let dir = args.out.as_deref().unwrap_or(&default);
+    let output = Output::create(dir, args.force).map_err(Failure::misuse)?;
+    let found = pipeline::stability(&case, &output).map_err(Failure::failed)?;
+    let dir = output.commit().map_err(Failure::failed)?;
+    say(format_args!("favre: growth rates are in {}", dir.display()));
+    if args.json { print_json(&found) } else { print(&found) }
 }
 
 fn bench(args: &cli::Bench) -> Result<(), Failure> {

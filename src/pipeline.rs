@@ -1,4 +1,4 @@
-//! [`run`]: from a case to the files of a run, stage by stage.
+//! [`run`]: from a case to the files of a run, stage by stage; [`stability`] likewise.
 
 use crate::case::{Case, DragChoice, Precision};
 use crate::checkpoint::{CheckpointError, Checkpoints};
@@ -13,6 +13,7 @@ use crate::output::{Output, OutputError, RUN_FILE};
 use crate::progress::Progress;
 use crate::series::Onset;
 use crate::simulate::{SimulateError, Simulated, Underway, simulate_from};
+use crate::stability::{self, Stability, StabilityError};
 use crate::statistics::{MergeError, Sums, bin_table};
 use crate::summary::{BoxSummary, Machine, Summary};
 use crate::table::{BinRow, write_rows};
@@ -63,6 +64,9 @@ pub enum RunError {
     /// A figure cannot be drawn.
     #[error(transparent)]
     Figure(#[from] FigureError),
+    /// There is no linear theory of the case.
+    #[error(transparent)]
+    Stability(#[from] StabilityError),
     /// Its files cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
@@ -109,6 +113,21 @@ pub fn run(
     );
     export(case, output, &boxes, &bins, model.as_ref().ok(), &summary)?;
     Ok(summary)
+}
+
+/// The linear theory of `case` in `output`, which the caller commits: stability.csv, stability.svg
+/// and run.json.
+///
+/// # Errors
+/// There is no linear theory of the case, or a file cannot be written.
+pub fn stability(case: &Case, output: &Output) -> Result<Stability, RunError> {
+    let found = stability::stability(case)?;
+    let cell = case.domain.spacing().into_iter().fold(0.0, f64::max);
+    output.write("stability.csv", |file| found.write_csv(file).map_err(io::Error::other))?;
+    let drawing = figure::stability_figure(&found, cell);
+    output.write("stability.svg", |file| file.write_all(drawing.svg().as_bytes()))?;
+    output.write(RUN_FILE, |file| Ok(serde_json::to_writer_pretty(file, &found)?))?;
+    Ok(found)
 }
 
 /// Simulates every box of the case: as many at a time as there are threads, or, when the boxes are

@@ -6,6 +6,7 @@ use crate::model::Model;
 use crate::rows::{Simd, simd_level};
 use crate::series::{Onset, SeriesStatistics, mean_with_error};
 use crate::simulate::{Cost, Simulated};
+use crate::stability::stability;
 use crate::table::BinRow;
 use serde::Serialize;
 use std::fmt;
@@ -14,10 +15,6 @@ use std::fmt;
 /// boundary \[u_t\], and for how long at a stretch that is worth a word \[u_t/g\].
 const CHANNEL_SLIP: f64 = 8.0;
 const CHANNEL_TIME: f64 = 20.0;
-
-/// Cells wider than this many L_II do not resolve the clusters of a powder: recent studies take
-/// three particle diameters, 0.8 L_II for the founding paper's powder.
-const RESOLVED: f64 = 1.0;
 
 /// A mean and how sure it is.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -261,21 +258,9 @@ fn warnings(
     model: &Result<&Model, String>,
 ) -> Vec<String> {
     let mut warnings = Vec::new();
-    let cell = case
-        .domain
-        .size
-        .iter()
-        .zip(&case.domain.cells)
-        .map(|(size, &cells)| size / cells as f64)
-        .fold(0.0, f64::max);
-    if cell > RESOLVED * scales.length_ii() {
-        warnings.push(format!(
-            "the cells ({:.3} mm = {:.1} L_II) do not resolve the smallest clusters: H is a lower \
-             bound; cells of {:.3} mm or less would",
-            1e3 * cell,
-            cell / scales.length_ii(),
-            1e3 * RESOLVED * scales.length_ii(),
-        ));
+    match stability(case) {
+        Ok(found) => warnings.extend(found.grid_warning()),
+        Err(error) => warnings.push(error.to_string()),
     }
     for summary in boxes {
         let phi = summary.solids_fraction;

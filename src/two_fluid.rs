@@ -30,7 +30,7 @@ use crate::field::{Faces, Field, Layout};
 use crate::fine::{FineFields, symmetric_index};
 use crate::grid::Grid;
 use crate::laws::drag::WenYu;
-use crate::laws::kinetic_theory::{KineticTheory, PackingBarrier, balance_temperature};
+use crate::laws::kinetic_theory::{KineticTheory, PackingBarrier};
 use crate::laws::scales::{Gas, Powder, homogeneous_slip};
 use crate::poisson::Poisson;
 use crate::real::Real;
@@ -199,6 +199,8 @@ pub struct TwoFluid<R, const D: usize> {
     time: f64,
     steps: u64,
     next_dt: (f64, Limit),
+    /// [`TOLERANCE`], or what [`TwoFluid::with_tolerance`] set.
+    tolerance: f64,
 
     phi: Field<R, D>,
     theta: Field<R, D>,
@@ -228,9 +230,25 @@ fn drag_rows<R: Real>(choice: DragChoice, gas: &Gas, powder: &Powder) -> Box<dyn
 }
 
 impl<R: Real, const D: usize> TwoFluid<R, D> {
-    /// The uniform fluidised state, perturbed in its solids fraction, in the frame in which the
-    /// mixture has no momentum.
+    /// The uniform fluidised state, its solids fraction perturbed by white noise, in the frame in
+    /// which the mixture has no momentum.
     pub fn new(grid: Grid<D>, setup: Setup) -> Self {
+        // Of exactly zero mean, at most the amplitude.
+        let mut random = rand_pcg::Pcg64::seed_from_u64(setup.seed);
+        let noise: Vec<f64> = (0..grid.len()).map(|_| random.random_range(-1.0..1.0)).collect();
+        let noise_mean = noise.iter().sum::<f64>() / noise.len() as f64;
+        let mut noise = noise.into_iter();
+        Self::perturbed(grid, setup, |_| noise.next().unwrap_or_default() - noise_mean)
+    }
+
+    /// The uniform fluidised state, perturbed as the relative change φ/⟨φ⟩ - 1 =
+    /// `setup.perturbation` times `shape` of a cell's index, in the frame in which the mixture has
+    /// no momentum.
+    pub fn perturbed(
+        grid: Grid<D>,
+        setup: Setup,
+        mut shape: impl FnMut([usize; D]) -> f64,
+    ) -> Self {
         let Setup { powder, gas, gravity, solids_fraction: mean, .. } = setup;
         let layout = Layout::from(&grid);
         let zeros = || Field::zeros(layout);
@@ -238,15 +256,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let theory = KineticTheory::<f64>::new(&gas, &powder);
 
         let mut phi = zeros();
-        // White noise of exactly zero mean, at most the amplitude.
-        let mut random = rand_pcg::Pcg64::seed_from_u64(setup.seed);
-        let noise: Vec<f64> = (0..grid.len()).map(|_| random.random_range(-1.0..1.0)).collect();
-        let noise_mean = noise.iter().sum::<f64>() / noise.len() as f64;
-        let mut noise = noise.into_iter();
-        phi.set(|_| {
-            let noise = noise.next().unwrap_or_default() - noise_mean;
-            R::of(mean * (1.0 + setup.perturbation * noise))
-        });
+        phi.set(|index| R::of(mean * (1.0 + setup.perturbation * shape(index))));
         let mean = phi.mean();
 
         let mixture = powder.density * mean + gas.density * (1.0 - mean);
@@ -278,6 +288,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             time: 0.0,
             steps: 0,
             next_dt: (FIRST_STEP * time_scale, Limit::Growth),
+            tolerance: TOLERANCE,
             phi,
             theta,
             pressure: zeros(),
@@ -299,6 +310,14 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             increment: zeros(),
             poisson: Poisson::new(&grid, setup.parallel),
         }
+    }
+
+    /// With `tolerance` for the divergence of the total volume flux, times dt, in place of 1e-3:
+    /// what the pressure leaves of it hides a perturbation that is not much larger.
+    #[must_use]
+    pub fn with_tolerance(mut self, tolerance: f64) -> Self {
+        self.tolerance = tolerance;
+        self
     }
 
     /// Advances by one time step towards the time `until` \[s\], chosen by stability and such that
@@ -407,8 +426,12 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         exchange::convergence(&rows, &mut self.right, &self.fluxes.solids, inverse_spacing);
         self.poisson.set_coefficient(&self.fluxes.gas);
         // The increment starts from that of the step before, which saves a third of the iterations.
-        let solve =
-            self.poisson.solve(&mut self.increment, &self.right, TOLERANCE / dt, MOST_ITERATIONS);
+        let solve = self.poisson.solve(
+            &mut self.increment,
+            &self.right,
+            self.tolerance / dt,
+            MOST_ITERATIONS,
+        );
         for axis in 0..D {
             let velocities = [&mut self.solids[axis], &mut self.gas[axis]];
             let (increment, spacing) = (&self.increment, inverse_spacing[axis]);
@@ -650,18 +673,7 @@ fn uniform_slip(setup: &Setup) -> f64 {
 fn uniform_temperature(setup: &Setup, theory: &KineticTheory<f64>, slip: f64) -> f64 {
     let phi = setup.solids_fraction;
     let drag = (1.0 - phi) * (setup.powder.density - setup.gas.density) * setup.gravity / slip;
-    let g0 = theory.radial_distribution(phi);
-    // The balance relaxes within milliseconds; a second's worth of steps has long settled.
-    (0..1000).fold(0.0, |theta, _| {
-        balance_temperature(
-            theta,
-            0.0,
-            theory.collisional_dissipation(phi, g0),
-            theory.viscous_dissipation(drag),
-            theory.slip_production(g0, slip * slip),
-            1e-3,
-        )
-    })
+    theory.steady_temperature(phi, theory.radial_distribution(phi), drag, slip)
 }
 
 #[cfg(test)]

@@ -473,6 +473,32 @@ fn a_reader_that_leaves_is_no_failure_and_a_full_disk_is() {
 }
 
 #[test]
+fn stability_leaves_table_and_figure_and_says_what_the_case_needs() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::write(dir.path().join("glass.toml"), CASE).unwrap();
+    let output = favre(dir.path(), &["stability", "glass.toml"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let text = stdout(&output);
+    assert!(text.starts_with("glass, ⟨φ⟩ = 0.15: fastest wave 0.923 mm (vertical)"), "{text}");
+    assert_eq!(text.lines().count(), 3);
+    let folder = dir.path().join("favre-out/glass-stability");
+    assert_eq!(names(&folder), ["run.json", "stability.csv", "stability.svg"]);
+    let table = fs::read_to_string(folder.join("stability.csv")).unwrap();
+    assert!(table.starts_with(
+        "solids_fraction [-],direction,angle [degree],wavelength [m],growth_rate [1/s],wave_speed [m/s]\n0.15,vertical,0.0,"
+    ));
+    assert!(table.contains(",oblique 45,") && table.contains(",horizontal,"));
+
+    let again = favre(dir.path(), &["stability", "glass.toml"]);
+    assert_eq!(again.status.code(), Some(2));
+    let json = favre(dir.path(), &["stability", "glass.toml", "--force", "--json"]);
+    let found: serde_json::Value = serde_json::from_str(&stdout(&json)).unwrap();
+    assert_eq!(found["states"][0]["directions"].as_array().unwrap().len(), 7);
+    let kept = fs::read_to_string(folder.join("run.json")).unwrap();
+    assert_eq!(serde_json::from_str::<serde_json::Value>(&kept).unwrap(), found);
+}
+
+#[test]
 fn a_bench_prints_times() {
     let dir = tempfile::tempdir().unwrap();
     let output = favre(dir.path(), &["bench", "--quick", "--json"]);

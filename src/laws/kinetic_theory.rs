@@ -164,6 +164,23 @@ impl<R: Real> KineticTheory<R> {
     pub fn slip_production(&self, g0: R, slip_squared: R) -> R {
         self.slip * slip_squared / g0
     }
+
+    /// Granular temperature of a uniform suspension at rest \[m²/s²\]: production by the `slip`
+    /// velocity balances both dissipations, a T² + b T^(3/2) = c with the coefficients of the three
+    /// above, at the drag coefficient per fraction K = β/φ.
+    pub fn steady_temperature(&self, phi: R, g0: R, drag_per_fraction: R, slip: R) -> R {
+        let a = self.collisional_dissipation(phi, g0);
+        let b = self.viscous_dissipation(drag_per_fraction);
+        let c = self.slip_production(g0, slip * slip);
+        // With s = √T convex and growing: Newton's method from above, where b s³ = c, falls
+        // monotonically, by a quarter a step until it is near.
+        let mut s = (c / b).power(R::of(1.0 / 3.0));
+        for _ in 0..60 {
+            let s2 = s * s;
+            s -= ((a * s + b) * s2 * s - c) / ((R::of(4.0) * a * s + R::of(3.0) * b) * s2);
+        }
+        s * s
+    }
 }
 
 /// Granular temperature after `dt` from its local balance, all sinks implicit:
@@ -295,6 +312,19 @@ mod tests {
         );
         let slip = 81.0 * PHI * 1.8e-5f64.powi(2) * 0.04 / (g0 * d.powi(3) * rho * (PI * T).sqrt());
         assert!((theory.slip_production(g0, 0.04) / T.sqrt() * mass / slip - 1.0).abs() < 1e-13);
+    }
+
+    #[test]
+    fn steady_temperature_balances_the_sources() {
+        let theory = KineticTheory::<f64>::new(&GAS, &POWDER);
+        for (phi, slip) in [(1e-4, 0.2), (0.05, 0.18), (0.3, 0.06), (0.6, 0.005)] {
+            let g0 = theory.radial_distribution(phi);
+            let t = theory.steady_temperature(phi, g0, K, slip);
+            let production = theory.slip_production(g0, slip * slip) / t.sqrt();
+            let loss = theory.collisional_dissipation(phi, g0) * t.powf(1.5)
+                + theory.viscous_dissipation(K) * t;
+            assert!((production / loss - 1.0).abs() < 1e-13, "{phi}: {t}");
+        }
     }
 
     #[test]
