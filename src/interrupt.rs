@@ -6,9 +6,14 @@ use std::path::PathBuf;
 use std::process;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
+use std::time::{Duration, Instant};
 
 /// Exit status of an interrupted run.
 pub const INTERRUPTED: u8 = 130;
+
+/// Signals this close together are one: `timeout` and batch systems signal both the process and its
+/// group.
+const TOGETHER: Duration = Duration::from_millis(500);
 
 /// What the signal handler and the run share.
 #[derive(Clone, Default)]
@@ -28,9 +33,14 @@ impl Interrupt {
     pub fn install() -> Self {
         let interrupt = Self::default();
         let shared = interrupt.clone();
+        let mut first: Option<Instant> = None;
         let _ = ctrlc::try_set_handler(move || {
-            let first = !shared.stop.swap(true, Ordering::Relaxed);
-            if first {
+            shared.stop.store(true, Ordering::Relaxed);
+            if first.is_some_and(|first| first.elapsed() < TOGETHER) {
+                return;
+            }
+            if first.is_none() {
+                first = Some(Instant::now());
                 let message = "favre: ending the run; nothing will be left half-written (once more \
                                to end at once)";
                 let _ = writeln!(io::stderr(), "{message}");

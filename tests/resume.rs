@@ -76,7 +76,9 @@ fn wait_for_a_box(dir: &Path, out: &str, more: u64) {
 }
 
 fn end(child: Child, signal: &str) -> (Option<i32>, String) {
-    let sent = Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
+    // Two at once, as `timeout` and batch systems send them.
+    let id = child.id().to_string();
+    let sent = Command::new("kill").args([signal, &id, &id]).status().unwrap();
     assert!(sent.success());
     let output = child.wait_with_output().unwrap();
     (output.status.code(), String::from_utf8(output.stderr).unwrap())
@@ -205,7 +207,8 @@ fn what_cannot_be_resumed_is_one_clear_message() {
 
     let (status, message) = run(dir, &["--checkpoint-minutes", "-1"]);
     assert_eq!(status, Some(2));
-    assert!(message.contains("--checkpoint-minutes"), "{message}");
+    assert!(message.contains("'-1' for '--checkpoint-minutes <N>'"), "{message}");
+    assert!(message.contains("a number of minutes from 0 to 525600 is accepted"), "{message}");
 }
 
 #[test]
