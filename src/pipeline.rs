@@ -1,4 +1,4 @@
-//! [`run`]: from a case to the files of a run, stage by stage; [`stability`] likewise.
+//! [`run`]: from a case to the files of a run, stage by stage; [`stability()`] likewise.
 
 use crate::case::{Case, DragChoice, Precision};
 use crate::checkpoint::{CheckpointError, Checkpoints};
