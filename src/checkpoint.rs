@@ -46,8 +46,10 @@ const FORMAT: u32 = 1;
 /// Version of the program: another one may compute other bits.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// How the file of a box begins and ends.
-const FILE: [&str; 2] = ["box_", ".state"];
+/// How the name of a box's file begins; how it ends, and how until the file is complete.
+const BOX: &str = "box_";
+const STATE: &str = ".state";
+const PARTIAL: &str = ".partial";
 
 /// Bytes of the checksum at the end.
 const CHECKSUM: u64 = 4;
@@ -198,12 +200,10 @@ impl Checkpoints {
         replace: bool,
     ) -> Result<Self, CheckpointError> {
         let checkpoints = Self::new(output, case, interval, replace);
-        if !checkpoints.is_empty() {
-            if !replace {
-                return Err(CheckpointError::Exists { dir: checkpoints.dir });
-            }
-            checkpoints.remove()?;
+        if !replace && !checkpoints.is_empty() {
+            return Err(CheckpointError::Exists { dir: checkpoints.dir });
         }
+        checkpoints.remove()?;
         Ok(checkpoints)
     }
 
@@ -218,7 +218,7 @@ impl Checkpoints {
         interval: Option<Duration>,
     ) -> Result<Self, CheckpointError> {
         let mut checkpoints = Self::new(output, case, interval, false);
-        let files = checkpoints.files()?;
+        let files = checkpoints.files(STATE)?;
         if files.is_empty() {
             return Err(CheckpointError::Absent { dir: checkpoints.dir });
         }
@@ -249,7 +249,7 @@ impl Checkpoints {
 
     /// Whether no box is kept.
     pub fn is_empty(&self) -> bool {
-        self.files().is_ok_and(|files| files.is_empty())
+        self.files(STATE).is_ok_and(|files| files.is_empty())
     }
 
     /// Whether the run is to replace an earlier one of its name.
@@ -289,10 +289,8 @@ impl Checkpoints {
     /// # Errors
     /// A file cannot be removed.
     pub fn remove(&self) -> Result<(), CheckpointError> {
-        for path in self.files()? {
-            let partial = beside(&path, ".partial");
-            // Left by a run that was killed while it wrote.
-            let _ = fs::remove_file(partial);
+        // A run that is killed while it writes leaves a partial file.
+        for path in self.files(PARTIAL)?.into_iter().chain(self.files(STATE)?) {
             if let Err(source) = fs::remove_file(&path) {
                 return Err(CheckpointError::Remove { path, source });
             }
@@ -307,11 +305,11 @@ impl Checkpoints {
     }
 
     fn path(&self, solids_fraction: f64) -> PathBuf {
-        self.dir.join(format!("{}{solids_fraction}{}", FILE[0], FILE[1]))
+        self.dir.join(format!("{BOX}{solids_fraction}{STATE}"))
     }
 
-    /// The boxes' files, in the order of their names.
-    fn files(&self) -> Result<Vec<PathBuf>, CheckpointError> {
+    /// The boxes' files whose names end with `end`, in the order of their names.
+    fn files(&self, end: &str) -> Result<Vec<PathBuf>, CheckpointError> {
         let read = |source| CheckpointError::Read { path: self.dir.clone(), source };
         let entries = match fs::read_dir(&self.dir) {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
@@ -322,7 +320,7 @@ impl Checkpoints {
             let entry = entry.map_err(read)?;
             let name = entry.file_name();
             let name = name.to_string_lossy();
-            if name.starts_with(FILE[0]) && name.ends_with(FILE[1]) {
+            if name.starts_with(BOX) && name.ends_with(end) {
                 files.push(entry.path());
             }
         }
@@ -333,7 +331,7 @@ impl Checkpoints {
     /// Writes the file of a box: under another name until it is whole and on disk.
     fn write(&self, solids_fraction: f64, underway: &Underway) -> Result<(), CheckpointError> {
         let path = self.path(solids_fraction);
-        let partial = beside(&path, ".partial");
+        let partial = beside(&path, PARTIAL);
         let result = fs::create_dir_all(&self.dir)
             .and_then(|()| self.write_to(&partial, solids_fraction, underway))
             .and_then(|()| fs::rename(&partial, &path))
@@ -994,6 +992,7 @@ mod tests {
         assert!(matches!(start(false), Err(CheckpointError::Exists { .. })));
         assert!(file(&base).exists());
         fs::write(base.path().join("run.checkpoint/notes"), "mine").unwrap();
+        fs::write(base.path().join("run.checkpoint/box_0.2.state.partial"), "of a kill").unwrap();
         let checkpoints = start(true).unwrap();
         assert!(checkpoints.is_empty());
         assert_eq!(fs::read_dir(checkpoints.dir()).unwrap().count(), 1);
@@ -1087,8 +1086,11 @@ mod tests {
         let checkpoints = resume(&base, &case).unwrap();
         let body = original.len() - CHECKSUM as usize;
         let flow = body - 7 * 16 * 24 * 4;
+        let near = |at: usize, place: usize| at.abs_diff(place) < 50;
         let places: Vec<usize> = (0..original.len())
-            .filter(|at| *at < 1200 || at % 997 == 0 || at.abs_diff(flow) < 80 || at + 20 > body)
+            .filter(|&at| near(at, 0) || near(at, flow) || near(at, body))
+            .chain((0..2000).step_by(19))
+            .chain((0..original.len()).step_by(1999))
             .collect();
         let damaged = |bytes: &[u8], what: &str| {
             fs::write(file(&base), bytes).unwrap();

@@ -82,7 +82,7 @@ pub struct Run {
     #[arg(long)]
     pub resume: bool,
     /// Keep the state of an unfinished run this often, to go on from after a crash; 0: never
-    #[arg(long, value_name = "N", default_value = "5", value_parser = minutes)]
+    #[arg(long, value_name = "N", default_value = "5", value_parser = minutes, allow_hyphen_values = true)]
     pub checkpoint_minutes: f64,
     /// Threads to use [default: one per core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]

@@ -190,8 +190,8 @@ fn what_cannot_be_resumed_is_one_clear_message() {
     refused(&["--resume"], &parts);
     fs::write(dir.join("case.toml"), text.replace("\"f32\"", "\"f64\"")).unwrap();
     refused(&["--resume"], &["[run] precision = \"f32\" and not \"f64\""]);
-    fs::write(dir.join("case.toml"), text.replace("16, 24", "16, 32")).unwrap();
-    refused(&["--resume"], &["[box] cells = [16, 16, 24] and not [16, 16, 32]"]);
+    fs::write(dir.join("case.toml"), text.replace("16, 16, 24", "32, 32, 48")).unwrap();
+    refused(&["--resume"], &["[box] cells = [16, 16, 24] and not [32, 32, 48]"]);
 
     fs::write(dir.join("case.toml"), &text).unwrap();
     let file = dir.join("out.checkpoint/box_0.15.state");

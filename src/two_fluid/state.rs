@@ -1,11 +1,11 @@
 //! The state of a [`TwoFluid`] between two steps, as bytes.
 //!
-//! Solids fraction, granular temperature, pressure, both velocities, time, number of steps and the
+//! Solids fraction, granular temperature, pressure and its last increment, both velocities, time, number of steps and the
 //! next time step: a step reads nothing else that an earlier one wrote. Halos follow from the
 //! cells; what depends on the set-up alone is made anew by [`TwoFluid::new`].
 //!
 //! Little-endian: bytes per number (u8), dimension (u8), cells along each axis (u64 each), time
-//! (f64), steps (u64), next time step (f64) and what limits it (u8); then φ, T, p, the components
+//! (f64), steps (u64), next time step (f64) and what limits it (u8); then φ, T, p, δp, the components
 //! of u_s and those of u_g, each row by row, first axis fastest, in the solver's precision.
 
 use super::{Limit, TwoFluid};
@@ -63,7 +63,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         to.write_all(&next_dt.to_le_bytes())?;
         to.write_all(&[limit as u8])?;
         let mut bytes = Vec::with_capacity(self.grid.cells[0] * Self::BYTES);
-        let scalars = [&self.phi, &self.theta, &self.pressure];
+        let scalars = [&self.phi, &self.theta, &self.pressure, &self.increment];
         for field in scalars.into_iter().chain(&self.solids).chain(&self.gas) {
             for row in field.interior() {
                 bytes.clear();
@@ -105,7 +105,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let [limit] = bytes(from)?;
         let limit = *LIMITS.get(usize::from(limit)).ok_or(StateError::Limit(limit))?;
         (self.time, self.steps, self.next_dt) = (time, steps, (next_dt, limit));
-        let scalars = [&mut self.phi, &mut self.theta, &mut self.pressure];
+        let scalars = [&mut self.phi, &mut self.theta, &mut self.pressure, &mut self.increment];
         for field in scalars.into_iter().chain(&mut self.solids).chain(&mut self.gas) {
             read_field(field, from)?;
         }
@@ -170,7 +170,7 @@ mod tests {
         advance(&mut straight, 40);
         let kept = state(&straight);
         let header = 2 + 8 * D + 8 + 8 + 8 + 1;
-        assert_eq!(kept.len(), header + (3 + 2 * D) * straight.grid.len() * size_of::<R>());
+        assert_eq!(kept.len(), header + (4 + 2 * D) * straight.grid.len() * size_of::<R>());
         advance(&mut straight, 40);
         for ahead in [0, 150] {
             let mut other = flow::<R, D>(cells);
