@@ -1,6 +1,6 @@
 //! [`run`]: from a case to the files of a run, stage by stage.
 
-use crate::case::{Case, DragChoice, Precision};
+use crate::case::{Case, Precision};
 use crate::figure::{self, FigureError};
 use crate::fit::{Fit, FitError, ReferenceLength, fit};
 use crate::forms::SaturatingDrag;
@@ -212,9 +212,6 @@ fn fit_drag_correction(bins: &[BinRow]) -> Result<Fit, FitError> {
 }
 
 fn closure(case: &Case, scales: &Scales, fit: &Fit) -> Model {
-    let drag = match case.physics.drag {
-        DragChoice::WenYu => "wen-yu",
-    };
     Model::new(
         &case.name,
         fit,
@@ -224,7 +221,7 @@ fn closure(case: &Case, scales: &Scales, fit: &Fit) -> Model {
             seed: Some(case.run.seed),
         },
         System::new(&case.powder, &case.gas, scales),
-        Definitions::favre(drag),
+        Definitions::favre(&case.physics.drag.to_string()),
     )
 }
 
