@@ -82,7 +82,7 @@ impl<R: Real> DragLaw<R> for WenYu<R> {
 /// Gidaspow (1994): Ergun (1952), β = 150 φ² μ_g / ((1-φ) d²) + 1.75 ρ_g φ |u| / d, where the gas
 /// fraction is below 0.8, and [`WenYu`] elsewhere.
 ///
-/// β jumps at φ = 0.2, as published: upwards by 15 % in creeping flow, by a factor of 3.7 far above
+/// β jumps at φ = 0.2, as published: upwards by 15 % in creeping flow, by a factor of 3.67 far above
 /// Re = 1000.
 #[derive(Clone, Copy, Debug)]
 pub struct Gidaspow<R> {
@@ -294,7 +294,7 @@ mod tests {
         // 150 · 0.2/0.8 over 18 · 0.8^-2.65; with 1.75 Re/0.8 over 0.33 Re 0.8^-2.65 besides.
         let jump = |u| law.beta(0.2 + 1e-12, u) / law.beta(0.2 - 1e-12, u);
         assert!((jump(0.0) - 1.1533).abs() < 1e-4, "{}", jump(0.0));
-        assert!((jump(speed(0.2, 1e6)) - 3.671).abs() < 1e-3, "{}", jump(speed(0.2, 1e6)));
+        assert!((jump(speed(0.2, 1e6)) - 3.6697).abs() < 1e-4, "{}", jump(speed(0.2, 1e6)));
     }
 
     #[test]
@@ -303,10 +303,10 @@ mod tests {
         let gas = Gas { density: 1.224, ..GAS };
         let law = Beetstra::<f64>::new(&gas, &POWDER);
         let u_t = Scales::new(&POWDER, &gas, 9.81).terminal_velocity;
-        assert!((u_t - 0.2197).abs() < 5e-5);
+        assert!((u_t - 0.2197).abs() < 1e-4);
         for (phi, expected) in [(0.05, 0.642), (0.10, 0.473), (0.15, 0.358), (0.25, 0.214)] {
             let found = homogeneous_slip(&law, &POWDER, &gas, 9.81, phi) / u_t;
-            assert!((found - expected).abs() < 5.1e-4, "phi {phi}: {found}");
+            assert!((found / expected - 1.0).abs() < 5e-3, "phi {phi}: {found}");
         }
     }
 
