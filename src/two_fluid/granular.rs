@@ -34,8 +34,16 @@ simd! {
 /// What the nearness of particles does, a row at a time: a radial distribution and a friction,
 /// chosen at the cost of one call per row.
 pub(super) trait ContactRow<R>: Send + Sync {
-    /// Leaves g0.
-    fn fill(&self, g0: &mut [R], phi: &[R]);
+    /// Leaves g0, viscosity, bulk viscosity and conductivity, as [`Closures`] has them.
+    fn kinetic(
+        &self,
+        outputs: [&mut [R]; 4],
+        medium: &Medium<R>,
+        phi: &[R],
+        theta: &[R],
+        drag: &[R],
+        cap: R,
+    );
 
     /// Leaves the solids pressure; returns the largest squared speed of sound \[m²/s²\].
     fn pressure(
@@ -61,8 +69,17 @@ pub(super) struct Contact<G, F> {
 }
 
 impl<R: Real, G: RadialDistribution<R>, F: Friction<R>> ContactRow<R> for Contact<G, F> {
-    fn fill(&self, g0: &mut [R], phi: &[R]) {
-        contact_row(g0, phi, self.radial);
+    fn kinetic(
+        &self,
+        [g0, viscosity, bulk, conductivity]: [&mut [R]; 4],
+        medium: &Medium<R>,
+        phi: &[R],
+        theta: &[R],
+        drag: &[R],
+        cap: R,
+    ) {
+        let radial = self.radial;
+        kinetic_row(g0, viscosity, bulk, conductivity, medium, radial, phi, theta, drag, cap);
     }
 
     fn pressure(
@@ -82,15 +99,6 @@ impl<R: Real, G: RadialDistribution<R>, F: Friction<R>> ContactRow<R> for Contac
 
     fn frictional_pressure(&self, phi: R) -> R {
         self.friction.pressure(phi).0
-    }
-}
-
-simd! {
-    fn contact_row[R: Real, G: RadialDistribution<R>](g0: &mut [R], phi: &[R], radial: G) {
-        let phi = &phi[..g0.len()];
-        for (g0, phi) in g0.iter_mut().zip(phi) {
-            *g0 = radial.contact(*phi);
-        }
     }
 }
 
@@ -181,18 +189,8 @@ impl<R: Real, const D: usize> Closures<R, D> {
                 });
                 slip_row(slip, velocities);
                 medium.drag.fill(drag, phi.row(o), slip);
-                medium.contact.fill(g0, phi.row(o));
-                kinetic_row(
-                    viscosity,
-                    bulk,
-                    conductivity,
-                    medium,
-                    phi.row(o),
-                    g0,
-                    theta.row(o),
-                    drag,
-                    cap,
-                );
+                let outputs = [g0, viscosity, bulk, conductivity];
+                medium.contact.kinetic(outputs, medium, phi.row(o), theta.row(o), drag, cap);
             },
         );
     }
@@ -213,25 +211,29 @@ simd! {
 }
 
 simd! {
-    fn kinetic_row[R: Real](
+    fn kinetic_row[R: Real, G: RadialDistribution<R>](
+        g0: &mut [R],
         viscosity: &mut [R],
         bulk: &mut [R],
         conductivity: &mut [R],
         medium: &Medium<R>,
+        radial: G,
         phi: &[R],
-        g0: &[R],
         theta: &[R],
         drag: &[R],
         cap: R,
     ) {
-        let n = viscosity.len();
-        let (bulk, conductivity) = (&mut bulk[..n], &mut conductivity[..n]);
-        let (phi, g0, theta, drag) = (&phi[..n], &g0[..n], &theta[..n], &drag[..n]);
+        let n = g0.len();
+        let (viscosity, bulk, conductivity) =
+            (&mut viscosity[..n], &mut bulk[..n], &mut conductivity[..n]);
+        let (phi, theta, drag) = (&phi[..n], &theta[..n], &drag[..n]);
         let theory = medium.theory;
         let density = medium.solids_density;
         for i in 0..n {
-            let transport = theory.transport(phi[i], g0[i], theta[i], drag[i]);
+            let contact = radial.contact(phi[i]);
+            let transport = theory.transport(phi[i], contact, theta[i], drag[i]);
             let bound = cap * density * (phi[i] + R::of(GHOST));
+            g0[i] = contact;
             viscosity[i] = transport.viscosity.min(bound);
             bulk[i] = transport.bulk_viscosity.min(R::of(0.25) * bound);
             conductivity[i] = transport.conductivity.min(bound);
