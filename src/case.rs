@@ -17,7 +17,9 @@
 //! | | `cells` | cells along each edge | even numbers from 8 | - |
 //! | | `cell` | instead of `cells`: the edge of one cell | a length that divides every edge | - |
 //! | | `solids_fraction` | mean solids fraction, or a list: one box each, pooled | 0 < φ < φ_max | - |
-//! | `[physics]` | `drag` | fine-grid drag law | `"wen-yu"` | `"wen-yu"` |
+//! | `[physics]` | `drag` | fine-grid drag law | `"wen-yu"`, `"gidaspow"`, `"beetstra"`, `"tenneti"` | `"wen-yu"` |
+//! | | `radial_distribution` | how much crowding makes particles collide | `"princeton"`, `"carnahan-starling"`, `"ma-ahmadi"` | `"princeton"` |
+//! | | `friction` | pressure of enduring contacts | `"barrier"`, `"none"`, `"schaeffer"`, `"johnson-jackson"`, `"srivastava-sundaresan"` | `"barrier"` |
 //! | | `granular_energy` | how the granular temperature is found | `"transport"` | `"transport"` |
 //! | | `gravity` | g [m/s²] | 1e-3 to 1e4 | 9.81 |
 //! | `[filter]` | `widths` | edges of the box filters | whole cells along every axis, from 2 cells to half the box | 4, 8, 16 and 32 cells as far as they fit |
@@ -41,6 +43,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
+use crate::laws::drag::DragLaw;
 use crate::laws::scales::{Gas, Powder, Scales};
 pub use file::Problem;
 use file::{Kind, Problems, Quantity};
@@ -87,6 +90,10 @@ pub struct Domain {
 pub struct Physics {
     /// `drag`: the fine-grid drag law.
     pub drag: DragChoice,
+    /// `radial_distribution`: how much crowding makes particles collide.
+    pub radial_distribution: RadialDistributionChoice,
+    /// `friction`: the pressure of enduring contacts.
+    pub friction: FrictionChoice,
     /// `granular_energy`: how the granular temperature is found.
     pub granular_energy: GranularEnergyChoice,
     /// `gravity` [m/s²], a positive number.
@@ -99,7 +106,124 @@ pub struct Physics {
 pub enum DragChoice {
     /// [`WenYu`](crate::laws::drag::WenYu).
     WenYu,
+    /// [`Gidaspow`](crate::laws::drag::Gidaspow).
+    Gidaspow,
+    /// [`Beetstra`](crate::laws::drag::Beetstra).
+    Beetstra,
+    /// [`Tenneti`](crate::laws::drag::Tenneti).
+    Tenneti,
 }
+
+/// `with_drag!(choice, R, gas, powder, |law| expression)`: the expression with the law that is
+/// chosen, in precision `R`. The one place that tells the choices apart, and a macro because each
+/// law is a type.
+macro_rules! with_drag {
+    ($choice:expr, $real:ty, $gas:expr, $powder:expr, |$law:ident| $then:expr) => {
+        with_drag!(@ $choice, $real, $gas, $powder, $law, $then,
+            WenYu, Gidaspow, Beetstra, Tenneti)
+    };
+    (@ $choice:expr, $real:ty, $gas:expr, $powder:expr, $law:ident, $then:expr, $($name:ident),+) => {
+        match $choice {
+            $($crate::case::DragChoice::$name => {
+                let $law = $crate::laws::drag::$name::<$real>::new($gas, $powder);
+                $then
+            })+
+        }
+    };
+}
+pub(crate) use with_drag;
+
+impl DragChoice {
+    /// The law, for `powder` in `gas`.
+    pub fn law(self, gas: &Gas, powder: &Powder) -> Box<dyn DragLaw<f64>> {
+        with_drag!(self, f64, gas, powder, |law| Box::new(law))
+    }
+}
+
+impl fmt::Display for DragChoice {
+    /// The name in a case file.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(quoted(self).trim_matches('"'))
+    }
+}
+
+/// Radial distributions of particles in contact.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RadialDistributionChoice {
+    /// [`Princeton`](crate::laws::kinetic_theory::Princeton).
+    Princeton,
+    /// [`CarnahanStarling`](crate::laws::kinetic_theory::CarnahanStarling).
+    CarnahanStarling,
+    /// [`MaAhmadi`](crate::laws::kinetic_theory::MaAhmadi).
+    MaAhmadi,
+}
+
+/// `with_radial_distribution!(choice, R, powder, |radial| expression)`, as [`with_drag`].
+macro_rules! with_radial_distribution {
+    ($choice:expr, $real:ty, $powder:expr, |$radial:ident| $then:expr) => {
+        match $choice {
+            $crate::case::RadialDistributionChoice::Princeton => {
+                let $radial = $crate::laws::kinetic_theory::Princeton::<$real>::new($powder);
+                $then
+            }
+            $crate::case::RadialDistributionChoice::CarnahanStarling => {
+                let $radial = $crate::laws::kinetic_theory::CarnahanStarling;
+                $then
+            }
+            $crate::case::RadialDistributionChoice::MaAhmadi => {
+                let $radial = $crate::laws::kinetic_theory::MaAhmadi::<$real>::new($powder);
+                $then
+            }
+        }
+    };
+}
+pub(crate) use with_radial_distribution;
+
+/// Frictional pressures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FrictionChoice {
+    /// [`PackingBarrier`](crate::laws::friction::PackingBarrier).
+    Barrier,
+    /// [`Frictionless`](crate::laws::friction::Frictionless).
+    None,
+    /// [`Schaeffer`](crate::laws::friction::Schaeffer).
+    Schaeffer,
+    /// [`JohnsonJackson`](crate::laws::friction::JohnsonJackson).
+    JohnsonJackson,
+    /// [`SrivastavaSundaresan`](crate::laws::friction::SrivastavaSundaresan).
+    SrivastavaSundaresan,
+}
+
+/// `with_friction!(choice, R, powder, |friction| expression)`, as [`with_drag`].
+macro_rules! with_friction {
+    ($choice:expr, $real:ty, $powder:expr, |$friction:ident| $then:expr) => {
+        match $choice {
+            $crate::case::FrictionChoice::Barrier => {
+                let $friction = $crate::laws::friction::PackingBarrier::<$real>::new($powder);
+                $then
+            }
+            $crate::case::FrictionChoice::None => {
+                let $friction = $crate::laws::friction::Frictionless;
+                $then
+            }
+            $crate::case::FrictionChoice::Schaeffer => {
+                let $friction = $crate::laws::friction::Schaeffer::<$real>::new($powder);
+                $then
+            }
+            $crate::case::FrictionChoice::JohnsonJackson => {
+                let $friction = $crate::laws::friction::JohnsonJackson::<$real>::new($powder);
+                $then
+            }
+            $crate::case::FrictionChoice::SrivastavaSundaresan => {
+                let $friction = $crate::laws::friction::SrivastavaSundaresan::<$real>::new($powder);
+                $then
+            }
+        }
+    };
+}
+pub(crate) use with_friction;
 
 /// Ways to find the granular temperature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
@@ -362,6 +486,8 @@ impl Case {
              solids_fraction = {:?}\n\
              \n[physics]\n\
              drag = {}\n\
+             radial_distribution = {}\n\
+             friction = {}\n\
              granular_energy = {}\n\
              gravity = {:?}\n\
              \n[filter]\n\
@@ -385,6 +511,8 @@ impl Case {
             domain.cells,
             domain.solids_fractions,
             quoted(&physics.drag),
+            quoted(&physics.radial_distribution),
+            quoted(&physics.friction),
             quoted(&physics.granular_energy),
             physics.gravity,
             filter.widths,
@@ -440,6 +568,8 @@ cells = [128, 128]
 solids_fraction = [0.05, 0.15, 0.25, 0.35]
 [physics]
 drag = "wen-yu"
+radial_distribution = "princeton"
+friction = "barrier"
 granular_energy = "transport"
 gravity = 9.81
 [filter]
@@ -643,6 +773,32 @@ precision = "f64"
         let line = "sample_interval = \"0.5 u_t/g\"";
         let text = TEXT.replace("\"200 u_t/g\"", "0.1").replace(line, "");
         assert_eq!(Case::parse(&text, "x").unwrap().run.sample_interval, 0.1 / 20.0);
+    }
+
+    #[test]
+    fn every_law_is_chosen_by_its_name_and_others_are_refused_with_the_list() {
+        for (key, default, names) in [
+            ("drag", "wen-yu", &["wen-yu", "gidaspow", "beetstra", "tenneti"] as &[&str]),
+            ("radial_distribution", "princeton", &["princeton", "carnahan-starling", "ma-ahmadi"]),
+            (
+                "friction",
+                "barrier",
+                &["barrier", "none", "schaeffer", "johnson-jackson", "srivastava-sundaresan"],
+            ),
+        ] {
+            let line = format!("{key} = \"{default}\"");
+            for name in names {
+                let case = text_with(&line, &format!("{key} = \"{name}\"")).unwrap();
+                assert!(case.to_toml().contains(&format!("{key} = \"{name}\"\n")));
+                assert_eq!(Case::parse(&case.to_toml(), "test").unwrap(), case);
+            }
+            let refused = problem(&line, &format!("{key} = \"newton\""));
+            assert_eq!(refused.key, format!("[physics] {key}"));
+            for name in names {
+                assert!(refused.why.contains(&format!("\"{name}\"")), "{}", refused.why);
+            }
+        }
+        assert_eq!(DragChoice::WenYu.to_string(), "wen-yu");
     }
 
     #[test]

@@ -4,5 +4,6 @@
 //! vectorises.
 
 pub mod drag;
+pub mod friction;
 pub mod kinetic_theory;
 pub mod scales;

@@ -1,6 +1,6 @@
 //! [`run`]: from a case to the files of a run, stage by stage; [`stability()`] likewise.
 
-use crate::case::{Case, DragChoice, Precision};
+use crate::case::{Case, Precision};
 use crate::checkpoint::{CheckpointError, Checkpoints};
 use crate::figure::{self, FigureError};
 use crate::fit::{Fit, FitError, ReferenceLength, fit};
@@ -264,9 +264,6 @@ fn fit_drag_correction(bins: &[BinRow]) -> Result<Fit, FitError> {
 }
 
 fn closure(case: &Case, scales: &Scales, fit: &Fit) -> Model {
-    let drag = match case.physics.drag {
-        DragChoice::WenYu => "wen-yu",
-    };
     Model::new(
         &case.name,
         fit,
@@ -276,7 +273,7 @@ fn closure(case: &Case, scales: &Scales, fit: &Fit) -> Model {
             seed: Some(case.run.seed),
         },
         System::new(&case.powder, &case.gas, scales),
-        Definitions::favre(drag),
+        Definitions::favre(&case.physics.drag.to_string()),
     )
 }
 

@@ -1,10 +1,9 @@
 //! [`simulate`]: one box from its start to its end, sampled in flight.
 
-use crate::case::{Case, DragChoice, MarkerChoice};
+use crate::case::{Case, MarkerChoice};
 use crate::filter::FilterError;
 use crate::fine::FineFields;
 use crate::grid::Grid;
-use crate::laws::drag::WenYu;
 use crate::laws::scales::Scales;
 use crate::real::Real;
 use crate::series::{Onset, steady_start};
@@ -215,6 +214,8 @@ pub fn simulate_from<R: Real, const D: usize>(
             gas: *gas,
             gravity: physics.gravity,
             drag: physics.drag,
+            radial_distribution: physics.radial_distribution,
+            friction: physics.friction,
             solids_fraction,
             perturbation: run.perturbation,
             seed: run.seed,
@@ -223,9 +224,7 @@ pub fn simulate_from<R: Real, const D: usize>(
     );
     let slip_bin = filter.markers.contains(&MarkerChoice::Slip).then_some(filter.slip_bin);
     let bins = Bins::new(filter.solids_fraction_bin, powder.max_packing, slip_bin);
-    let law = match physics.drag {
-        DragChoice::WenYu => WenYu::<f64>::new(gas, powder),
-    };
+    let law = physics.drag.law(gas, powder);
     let block = SAMPLES_PER_BLOCK * run.sample_interval;
     let mut sampler = Sampler::new(grid, law, scales, bins, &filter.widths, block)?;
 

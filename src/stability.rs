@@ -22,9 +22,10 @@
 //! advection by U_s and U_g ([`Uniform::mode_on`]). Their growth rate says which cells carry the
 //! instability, without a rule of thumb.
 
-use crate::case::{Case, DragChoice};
-use crate::laws::drag::{DragLaw, WenYu};
-use crate::laws::kinetic_theory::{KineticTheory, PackingBarrier};
+use crate::case::{Case, with_friction, with_radial_distribution};
+use crate::laws::drag::DragLaw;
+use crate::laws::friction::Friction;
+use crate::laws::kinetic_theory::{KineticTheory, RadialDistribution};
 use crate::laws::scales::homogeneous_slip;
 use faer::{Mat, c64};
 use serde::Serialize;
@@ -262,13 +263,16 @@ impl Uniform {
     /// The uniform state of `case` at one mean solids fraction φ.
     pub fn new(case: &Case, phi: f64) -> Self {
         let Case { powder, gas, physics, .. } = case;
-        let law = match physics.drag {
-            DragChoice::WenYu => WenYu::<f64>::new(gas, powder),
-        };
+        let law = physics.drag.law(gas, powder);
         let theory = KineticTheory::<f64>::new(gas, powder);
-        let barrier = PackingBarrier::<f64>::new(powder);
-        let contact = |phi| theory.radial_distribution(phi);
-        let friction = |phi| barrier.pressure(phi).0;
+        let contact = |phi| {
+            with_radial_distribution!(physics.radial_distribution, f64, powder, |radial| {
+                radial.contact(phi)
+            })
+        };
+        let friction = |phi| {
+            with_friction!(physics.friction, f64, powder, |friction| friction.pressure(phi).0)
+        };
         let slip = homogeneous_slip(&law, powder, gas, physics.gravity, phi);
         let drag = law.beta_per_fraction(phi, slip);
         let temperature = theory.steady_temperature(phi, contact(phi), drag, slip);
@@ -742,6 +746,7 @@ mod tests {
     use super::*;
     use crate::case::DEFAULT;
     use crate::grid::Grid;
+    use crate::laws::drag::WenYu;
     use crate::two_fluid::{Setup, TwoFluid};
     use std::sync::LazyLock;
 
@@ -772,6 +777,8 @@ mod tests {
                 gas: CASE.gas,
                 gravity: CASE.physics.gravity,
                 drag: CASE.physics.drag,
+                radial_distribution: CASE.physics.radial_distribution,
+                friction: CASE.physics.friction,
                 solids_fraction: self.phi,
                 perturbation: 1e-4,
                 seed: 0,

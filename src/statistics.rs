@@ -398,10 +398,7 @@ impl<const D: usize, L: DragLaw<f64>> Sampler<D, L> {
                     speed[n] = moments.slip_speed();
                 }
                 let mut beta = [0.0; CHUNK];
-                for (beta, (&fraction, &speed)) in beta.iter_mut().zip(fraction.iter().zip(&speed))
-                {
-                    *beta = self.law.beta(fraction, speed);
-                }
+                self.law.betas(&mut beta, &fraction, &speed);
                 for (n, &beta) in beta[..len].iter().enumerate() {
                     let moments = columns.at(start + n);
                     let at = Filtered::new(&moments, beta, self.scales.density, width);

@@ -25,18 +25,21 @@ mod state;
 mod stress;
 mod transport;
 
-use crate::case::DragChoice;
+use crate::case::{
+    DragChoice, FrictionChoice, RadialDistributionChoice, with_drag, with_friction,
+    with_radial_distribution,
+};
 use crate::field::{Faces, Field, Layout};
 use crate::fine::{FineFields, symmetric_index};
 use crate::grid::Grid;
-use crate::laws::drag::WenYu;
-use crate::laws::kinetic_theory::{KineticTheory, PackingBarrier};
+use crate::laws::drag::DragLaw;
+use crate::laws::kinetic_theory::KineticTheory;
 use crate::laws::scales::{Gas, Powder, homogeneous_slip};
 use crate::poisson::Poisson;
 use crate::real::Real;
 use crate::rows::Rows;
 use exchange::Inertia;
-use granular::{Closures, DragRow};
+use granular::{Closures, Contact, ContactRow, DragRow};
 use rand::{RngExt, SeedableRng};
 pub use state::StateError;
 use stress::Stress;
@@ -81,7 +84,7 @@ const MOST_ITERATIONS: usize = 60;
 /// What fills the box, in the solver's precision.
 struct Medium<R> {
     theory: KineticTheory<R>,
-    barrier: PackingBarrier<R>,
+    contact: Box<dyn ContactRow<R>>,
     drag: Box<dyn DragRow<R>>,
     solids_density: R,
     gas_density: R,
@@ -98,6 +101,10 @@ pub struct Setup {
     pub gravity: f64,
     /// Fine-grid drag law.
     pub drag: DragChoice,
+    /// Radial distribution of particles in contact.
+    pub radial_distribution: RadialDistributionChoice,
+    /// Frictional pressure.
+    pub friction: FrictionChoice,
     /// Mean solids fraction of the box.
     pub solids_fraction: f64,
     /// Relative amplitude of the initial random perturbation of the solids fraction.
@@ -192,8 +199,9 @@ pub struct TwoFluid<R, const D: usize> {
     rows: Rows<D>,
     setup: Setup,
     medium: Medium<R>,
-    /// The drag law in double precision, for what is handed to the filter.
-    law: Box<dyn DragRow<f64>>,
+    /// The laws in double precision, for what is handed to the filter.
+    law: Box<dyn DragLaw<f64>>,
+    contact: Box<dyn ContactRow<f64>>,
     /// Weight less the mean pressure gradient's push, g (ρ_mean - ρ_k), for solids and gas \[N/m³\].
     buoyancy: [R; 2],
     time: f64,
@@ -223,10 +231,15 @@ pub struct TwoFluid<R, const D: usize> {
     poisson: Poisson<R, D>,
 }
 
-fn drag_rows<R: Real>(choice: DragChoice, gas: &Gas, powder: &Powder) -> Box<dyn DragRow<R>> {
-    match choice {
-        DragChoice::WenYu => Box::new(WenYu::<R>::new(gas, powder)),
-    }
+fn drag_rows<R: Real>(setup: &Setup) -> Box<dyn DragRow<R>> {
+    with_drag!(setup.drag, R, &setup.gas, &setup.powder, |law| Box::new(law))
+}
+
+fn contact_rows<R: Real>(setup: &Setup) -> Box<dyn ContactRow<R>> {
+    let powder = &setup.powder;
+    with_radial_distribution!(setup.radial_distribution, R, powder, |radial| {
+        with_friction!(setup.friction, R, powder, |friction| Box::new(Contact { radial, friction }))
+    })
 }
 
 impl<R: Real, const D: usize> TwoFluid<R, D> {
@@ -253,7 +266,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let layout = Layout::from(&grid);
         let zeros = || Field::zeros(layout);
         let slip = uniform_slip(&setup);
-        let theory = KineticTheory::<f64>::new(&gas, &powder);
+        let contact = contact_rows::<f64>(&setup);
 
         let mut phi = zeros();
         phi.set(|index| R::of(mean * (1.0 + setup.perturbation * shape(index))));
@@ -261,7 +274,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
 
         let mixture = powder.density * mean + gas.density * (1.0 - mean);
         let mut theta = zeros();
-        let temperature = uniform_temperature(&setup, &theory, slip);
+        let g0 = contact.radial_distribution(setup.solids_fraction);
+        let temperature = uniform_temperature(&setup, g0, slip);
         theta.set(|_| R::of(temperature));
         let mut solids = Field::zero_faces(layout);
         let mut carrier = Field::zero_faces(layout);
@@ -274,12 +288,13 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             rows: Rows::new(layout, setup.parallel),
             medium: Medium {
                 theory: KineticTheory::new(&gas, &powder),
-                barrier: PackingBarrier::new(&powder),
-                drag: drag_rows(setup.drag, &gas, &powder),
+                contact: contact_rows(&setup),
+                drag: drag_rows(&setup),
                 solids_density: R::of(powder.density),
                 gas_density: R::of(gas.density),
             },
-            law: drag_rows(setup.drag, &gas, &powder),
+            law: setup.drag.law(&gas, &powder),
+            contact,
             buoyancy: [
                 R::of(gravity * (mixture - powder.density)),
                 R::of(gravity * (mixture - gas.density)),
@@ -596,7 +611,6 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         assert_eq!(fine.grid, self.grid, "fields of another grid");
         fine.time = self.time;
         let theory = KineticTheory::<f64>::new(&self.setup.gas, &self.setup.powder);
-        let barrier = PackingBarrier::<f64>::new(&self.setup.powder);
         let h = self.grid.spacing;
         let stride = self.rows.layout().stride;
         // Velocity of a phase at a centre, as the mean of the two faces.
@@ -622,8 +636,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
                 }
                 let up = stride[D - 1];
                 let (above, below) = (self.pressure.data[at + up], self.pressure.data[at - up]);
-                let drag = self.law.per_fraction(phi, slip_squared.sqrt());
-                let g0 = theory.radial_distribution(phi);
+                let drag = self.law.beta_per_fraction(phi, slip_squared.sqrt());
+                let g0 = self.contact.radial_distribution(phi);
                 let transport = theory.transport(phi, g0, theta, drag);
                 fine.solids_fraction[cell] = phi;
                 fine.granular_temperature[cell] = theta;
@@ -631,7 +645,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
                     (above.f64() - below.f64()) / (2.0 * h[D - 1]);
                 fine.drag_coefficient[cell] = phi * drag;
                 fine.solids_pressure[cell] = theory.pressure(phi, g0, theta)
-                    + barrier.pressure(phi).0
+                    + self.contact.frictional_pressure(phi)
                     - transport.bulk_viscosity * divergence;
                 for b in 0..D {
                     for a in 0..=b {
@@ -661,19 +675,15 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
 /// Slip velocity of the uniform state \[m/s\].
 fn uniform_slip(setup: &Setup) -> f64 {
     let Setup { powder, gas, gravity, solids_fraction, .. } = setup;
-    match setup.drag {
-        DragChoice::WenYu => {
-            let law = WenYu::new(gas, powder);
-            homogeneous_slip(&law, powder, gas, *gravity, *solids_fraction)
-        }
-    }
+    homogeneous_slip(&setup.drag.law(gas, powder), powder, gas, *gravity, *solids_fraction)
 }
 
 /// Granular temperature at which production by `slip` balances dissipation \[m²/s²\].
-fn uniform_temperature(setup: &Setup, theory: &KineticTheory<f64>, slip: f64) -> f64 {
+fn uniform_temperature(setup: &Setup, g0: f64, slip: f64) -> f64 {
+    let theory = KineticTheory::<f64>::new(&setup.gas, &setup.powder);
     let phi = setup.solids_fraction;
     let drag = (1.0 - phi) * (setup.powder.density - setup.gas.density) * setup.gravity / slip;
-    theory.steady_temperature(phi, theory.radial_distribution(phi), drag, slip)
+    theory.steady_temperature(phi, g0, drag, slip)
 }
 
 #[cfg(test)]
@@ -688,6 +698,8 @@ mod tests {
             gas: GAS,
             gravity: 9.81,
             drag: DragChoice::WenYu,
+            radial_distribution: RadialDistributionChoice::Princeton,
+            friction: FrictionChoice::Barrier,
             solids_fraction,
             perturbation,
             seed: 1,
@@ -705,8 +717,7 @@ mod tests {
             }
             let slip = flow.means().slip;
             let weight = phi * (1.0 - phi) * (POWDER.density - GAS.density) * 9.81;
-            let law = WenYu::<f64>::new(&GAS, &POWDER);
-            let drag = crate::laws::drag::DragLaw::beta(&law, phi, slip) * slip;
+            let drag = DragChoice::WenYu.law(&GAS, &POWDER).beta(phi, slip) * slip;
             assert!((drag / weight - 1.0).abs() < 1e-8, "{phi}: {}", drag / weight - 1.0);
             assert!((slip / u_t - expected).abs() < 5e-5);
             let spread = flow.phi.max() - flow.phi.min();
@@ -718,5 +729,57 @@ mod tests {
     fn uniform_state_stays_uniform_at_the_published_slip() {
         uniform_stays([16, 16]);
         uniform_stays([8, 8, 16]);
+    }
+
+    #[test]
+    fn uniform_state_keeps_the_slip_of_its_own_drag_law() {
+        use DragChoice::{Beetstra, Gidaspow, Tenneti, WenYu};
+        for drag in [WenYu, Gidaspow, Beetstra, Tenneti] {
+            for phi in [0.1, 0.35] {
+                let grid = Grid::new([0.01, 0.01], [8, 8]);
+                let mut flow = TwoFluid::<f64, 2>::new(grid, Setup { drag, ..setup(phi, 0.0) });
+                for _ in 0..200 {
+                    flow.step(f64::INFINITY).unwrap();
+                }
+                let slip = flow.means().slip;
+                let weight = phi * (1.0 - phi) * (POWDER.density - GAS.density) * 9.81;
+                let error = drag.law(&GAS, &POWDER).beta(phi, slip) * slip / weight - 1.0;
+                assert!(error.abs() < 1e-8, "{drag} {phi}: {error}");
+                assert!(flow.phi.max() - flow.phi.min() < 1e-12);
+            }
+        }
+    }
+
+    /// The most solids in a cell of a dense bed of coarse powder, in `steps` steps.
+    fn densest(setup: Setup, steps: usize) -> f64 {
+        let powder = Powder { diameter: 300e-6, density: 2500.0, ..POWDER };
+        let grid = Grid::new([0.032, 0.032], [16, 16]);
+        let mut flow = TwoFluid::<f64, 2>::new(grid, Setup { powder, ..setup });
+        let mut densest: f64 = 0.0;
+        for _ in 0..steps {
+            flow.step(f64::INFINITY).unwrap();
+            densest = densest.max(flow.phi.max());
+        }
+        densest
+    }
+
+    #[test]
+    fn every_friction_keeps_a_dense_bed_from_being_overfilled() {
+        use FrictionChoice::{Barrier, JohnsonJackson, Schaeffer, SrivastavaSundaresan};
+        for friction in [Barrier, Schaeffer, JohnsonJackson, SrivastavaSundaresan] {
+            let found = densest(Setup { friction, ..setup(0.55, 0.1) }, 200);
+            assert!(found < POWDER.max_packing + 0.012, "{friction:?}: {found}");
+        }
+    }
+
+    #[test]
+    fn every_radial_distribution_runs_and_carries_a_dense_bed() {
+        use RadialDistributionChoice::{CarnahanStarling, MaAhmadi, Princeton};
+        let found = [Princeton, CarnahanStarling, MaAhmadi].map(|radial_distribution| {
+            densest(Setup { radial_distribution, ..setup(0.55, 0.1) }, 200)
+        });
+        assert!(found.iter().all(|&most| most < POWDER.max_packing + 0.012), "{found:?}");
+        // The choice arrives: no two beds are the same.
+        assert!(found[0] != found[1] && found[1] != found[2], "{found:?}");
     }
 }

@@ -1,6 +1,6 @@
 //! A step allocates nothing.
 
-use favre::case::DragChoice;
+use favre::case::{DragChoice, FrictionChoice, RadialDistributionChoice};
 use favre::grid::Grid;
 use favre::laws::scales::{Gas, Powder};
 use favre::two_fluid::{Setup, TwoFluid};
@@ -33,6 +33,8 @@ fn allocations_of_steps<const D: usize>(cells: [usize; D]) -> usize {
         gas: Gas { density: 1.3, viscosity: 1.8e-5 },
         gravity: 9.81,
         drag: DragChoice::WenYu,
+        radial_distribution: RadialDistributionChoice::Princeton,
+        friction: FrictionChoice::Barrier,
         solids_fraction: 0.15,
         perturbation: 0.1,
         seed: 3,

@@ -1,6 +1,6 @@
 //! What the two-fluid model must keep to round-off, over ten thousand steps.
 
-use favre::case::DragChoice;
+use favre::case::{DragChoice, FrictionChoice, RadialDistributionChoice};
 use favre::grid::Grid;
 use favre::laws::scales::{Gas, Powder};
 use favre::two_fluid::{Setup, TwoFluid};
@@ -11,6 +11,8 @@ fn setup(solids_fraction: f64) -> Setup {
         gas: Gas { density: 1.3, viscosity: 1.8e-5 },
         gravity: 9.81,
         drag: DragChoice::WenYu,
+        radial_distribution: RadialDistributionChoice::Princeton,
+        friction: FrictionChoice::Barrier,
         solids_fraction,
         perturbation: 0.1,
         seed: 3,

@@ -1,7 +1,7 @@
 //! Cases that break solvers: very dilute, dense, elastic, dissipative, fine, coarse, odd boxes,
 //! a slab in vacuum. They must run, stay positive and keep below the densest packing.
 
-use favre::case::DragChoice;
+use favre::case::{DragChoice, FrictionChoice, RadialDistributionChoice};
 use favre::grid::Grid;
 use favre::laws::scales::{Gas, Powder};
 use favre::two_fluid::{Setup, TwoFluid};
@@ -55,6 +55,8 @@ fn flow(hard: &Hard) -> TwoFluid<f64, 2> {
         gas: Gas { density: 1.3, viscosity: 1.8e-5 },
         gravity: 9.81,
         drag: DragChoice::WenYu,
+        radial_distribution: RadialDistributionChoice::Princeton,
+        friction: FrictionChoice::Barrier,
         solids_fraction: hard.solids_fraction,
         perturbation: hard.perturbation,
         seed: 5,

@@ -13,7 +13,10 @@ use serde::de::value::Error as ChoiceError;
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
-use super::{DragChoice, GranularEnergyChoice, MarkerChoice, Precision};
+use super::{
+    DragChoice, FrictionChoice, GranularEnergyChoice, MarkerChoice, Precision,
+    RadialDistributionChoice,
+};
 use crate::laws::scales::{REFERENCE_LENGTHS, Scales};
 
 /// Every section and its keys.
@@ -21,7 +24,7 @@ pub(super) const SECTIONS: [(&str, &[&str]); 6] = [
     ("powder", &["diameter", "density", "restitution", "max_packing"]),
     ("gas", &["density", "viscosity"]),
     ("box", &["size", "cells", "cell", "solids_fraction"]),
-    ("physics", &["drag", "granular_energy", "gravity"]),
+    ("physics", &["drag", "radial_distribution", "friction", "granular_energy", "gravity"]),
     ("filter", &["widths", "markers", "solids_fraction_bin", "slip_bin"]),
     ("run", &["duration", "sample_interval", "seed", "perturbation", "precision"]),
 ];
@@ -323,6 +326,8 @@ pub(super) struct DomainFile {
 #[derive(Debug)]
 pub(super) struct PhysicsFile {
     pub drag: Option<Typed<DragChoice>>,
+    pub radial_distribution: Option<Typed<RadialDistributionChoice>>,
+    pub friction: Option<Typed<FrictionChoice>>,
     pub granular_energy: Option<Typed<GranularEnergyChoice>>,
     pub gravity: Option<Typed<f64>>,
 }
@@ -419,6 +424,8 @@ pub(super) fn read(text: &str, problems: &mut Problems<'_>) -> Option<CaseFile> 
         let mut section = Section::new(&root, "physics", false, problems);
         PhysicsFile {
             drag: section.optional("drag", choice),
+            radial_distribution: section.optional("radial_distribution", choice),
+            friction: section.optional("friction", choice),
             granular_energy: section.optional("granular_energy", choice),
             gravity: section.optional("gravity", number),
         }

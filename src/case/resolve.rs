@@ -7,8 +7,8 @@ use std::ops::RangeInclusive;
 
 use super::file::{CaseFile, DomainFile, FilterFile, Problems, Quantity, RunFile, Typed, Unit};
 use super::{
-    Case, Domain, DragChoice, FilterCase, GranularEnergyChoice, MarkerChoice, Physics, Precision,
-    RunCase,
+    Case, Domain, DragChoice, FilterCase, FrictionChoice, GranularEnergyChoice, MarkerChoice,
+    Physics, Precision, RadialDistributionChoice, RunCase,
 };
 use crate::laws::scales::{Gas, Powder, Scales};
 
@@ -93,6 +93,16 @@ pub(super) fn resolve(file: &CaseFile, name: &str, problems: &mut Problems<'_>) 
         domain: Domain { size, cells, solids_fractions: fractions? },
         physics: Physics {
             drag: file.physics.drag.as_ref().map_or(DragChoice::WenYu, |typed| typed.value),
+            radial_distribution: file
+                .physics
+                .radial_distribution
+                .as_ref()
+                .map_or(RadialDistributionChoice::Princeton, |typed| typed.value),
+            friction: file
+                .physics
+                .friction
+                .as_ref()
+                .map_or(FrictionChoice::Barrier, |typed| typed.value),
             granular_energy: file
                 .physics
                 .granular_energy

@@ -15,15 +15,123 @@ use std::f64::consts::PI;
 /// α of the shear viscosity \[-\].
 const ALPHA: f64 = 1.6;
 
-/// Smallest 1 - (φ/φ_max)^(1/3): caps g0 at 1000 in cells at or past packing, where the packing
-/// barrier carries the load.
+/// Smallest distance from packing in a g0 that diverges there, 1 - (φ/φ_max)^(1/3) or
+/// 1 - (φ/φ_max)³: caps g0 at 1000 in cells at or past packing, where friction carries the load.
 const CLOSEST: f64 = 1e-3;
+
+/// The radial distribution at contact g0: how much more often particles collide than if they had
+/// no volume.
+pub trait RadialDistribution<R: Real>: Copy + Send + Sync {
+    /// g0 \[-\].
+    fn contact(&self, solids_fraction: R) -> R;
+
+    /// φ² dg0/dφ \[-\] where g0 is `contact`.
+    fn slope(&self, solids_fraction: R, contact: R) -> R;
+}
+
+/// g0 = 1 / (1 - (φ/φ_max)^(1/3)), the one of Agrawal et al. (2001) and Igci et al. (2008); for
+/// all φ. Its slope at φ = 0 is infinite, φ² dg0/dφ is not.
+#[derive(Clone, Copy, Debug)]
+pub struct Princeton<R> {
+    max_packing_inverse: R,
+}
+
+impl<R: Real> Princeton<R> {
+    /// Of `powder`.
+    pub fn new(powder: &Powder) -> Self {
+        Self { max_packing_inverse: R::of(1.0 / powder.max_packing) }
+    }
+}
+
+impl<R: Real> RadialDistribution<R> for Princeton<R> {
+    #[inline(always)]
+    fn contact(&self, solids_fraction: R) -> R {
+        // The floor keeps the logarithm finite in empty cells.
+        let crowding =
+            (solids_fraction * self.max_packing_inverse).max(R::of(1e-30)).power(R::of(1.0 / 3.0));
+        R::ONE / (R::ONE - crowding).max(R::of(CLOSEST))
+    }
+
+    #[inline(always)]
+    fn slope(&self, solids_fraction: R, contact: R) -> R {
+        // dg0/dφ = g0² (φ/φ_max)^(1/3) / (3 φ), and (φ/φ_max)^(1/3) = 1 - 1/g0.
+        solids_fraction * contact * (contact - R::ONE) * R::of(1.0 / 3.0)
+    }
+}
+
+/// Carnahan & Starling (1969, J. Chem. Phys. 51:635): g0 = (1 - φ/2) / (1-φ)³, that of a fluid of
+/// hard spheres, exact to some per cent up to its freezing at φ = 0.49; knows no packing.
+#[derive(Clone, Copy, Debug)]
+pub struct CarnahanStarling;
+
+impl<R: Real> RadialDistribution<R> for CarnahanStarling {
+    #[inline(always)]
+    fn contact(&self, solids_fraction: R) -> R {
+        let free = R::ONE - solids_fraction;
+        (R::ONE - R::of(0.5) * solids_fraction) / (free * free * free)
+    }
+
+    #[inline(always)]
+    fn slope(&self, solids_fraction: R, _: R) -> R {
+        let crowding = solids_fraction / (R::ONE - solids_fraction);
+        let crowding2 = crowding * crowding;
+        let free = R::ONE - solids_fraction;
+        crowding2 * (R::of(2.5) - solids_fraction) / (free * free)
+    }
+}
+
+/// Ma & Ahmadi (1986, J. Chem. Phys. 84:3449):
+/// g0 = (1 + 2.5 φ + 4.5904 φ² + 4.515439 φ³) / (1 - (φ/φ_max)³)^0.678021, published with
+/// φ_max = 0.64356; here φ_max is the powder's. For all φ.
+#[derive(Clone, Copy, Debug)]
+pub struct MaAhmadi<R> {
+    max_packing_inverse: R,
+}
+
+/// Exponent of [`MaAhmadi`].
+const MA_AHMADI: f64 = 0.678021;
+
+impl<R: Real> MaAhmadi<R> {
+    /// Of `powder`.
+    pub fn new(powder: &Powder) -> Self {
+        Self { max_packing_inverse: R::of(1.0 / powder.max_packing) }
+    }
+
+    /// (φ/φ_max)³ and 1 less it.
+    #[inline(always)]
+    fn cube(&self, solids_fraction: R) -> (R, R) {
+        let ratio = solids_fraction * self.max_packing_inverse;
+        let cube = ratio * ratio * ratio;
+        (cube, (R::ONE - cube).max(R::of(CLOSEST)))
+    }
+
+    /// The numerator.
+    #[inline(always)]
+    fn series(phi: R) -> R {
+        R::ONE + phi * (R::of(2.5) + phi * (R::of(4.5904) + phi * R::of(4.515439)))
+    }
+}
+
+impl<R: Real> RadialDistribution<R> for MaAhmadi<R> {
+    #[inline(always)]
+    fn contact(&self, solids_fraction: R) -> R {
+        let (_, free) = self.cube(solids_fraction);
+        Self::series(solids_fraction) * free.power(R::of(-MA_AHMADI))
+    }
+
+    #[inline(always)]
+    fn slope(&self, phi: R, contact: R) -> R {
+        let (cube, free) = self.cube(phi);
+        let growth = R::of(2.5) + phi * (R::of(2.0 * 4.5904) + phi * R::of(3.0 * 4.515439));
+        // dg0/dφ = g0 (series'/series + 3 · 0.678021 (φ/φ_max)³ / (φ free)).
+        contact * phi * (phi * growth / Self::series(phi) + R::of(3.0 * MA_AHMADI) * cube / free)
+    }
+}
 
 /// The kinetic theory of one powder in one gas; holds constants only.
 #[derive(Clone, Copy, Debug)]
 pub struct KineticTheory<R> {
     density: R,
-    max_packing_inverse: R,
     eta: R,
     /// (5/96) ρ_s d √π: dilute viscosity per √T.
     dilute_viscosity: R,
@@ -54,7 +162,6 @@ impl<R: Real> KineticTheory<R> {
         let d = powder.diameter;
         Self {
             density: R::of(powder.density),
-            max_packing_inverse: R::of(1.0 / powder.max_packing),
             eta: R::of(eta),
             dilute_viscosity: R::of(5.0 / 96.0 * powder.density * d * sqrt_pi),
             dilute_conductivity: R::of(
@@ -65,19 +172,6 @@ impl<R: Real> KineticTheory<R> {
                 81.0 * gas.viscosity.powi(2) / (d.powi(3) * powder.density.powi(2) * sqrt_pi),
             ),
         }
-    }
-
-    /// (φ/φ_max)^(1/3).
-    #[inline(always)]
-    fn crowding(&self, solids_fraction: R) -> R {
-        // The floor keeps the logarithm finite in empty cells.
-        (solids_fraction * self.max_packing_inverse).max(R::of(1e-30)).power(R::of(1.0 / 3.0))
-    }
-
-    /// g0 = 1 / (1 - (φ/φ_max)^(1/3)).
-    #[inline(always)]
-    pub fn radial_distribution(&self, solids_fraction: R) -> R {
-        R::ONE / (R::ONE - self.crowding(solids_fraction)).max(R::of(CLOSEST))
     }
 
     /// P_s = ρ_s φ (1 + 4 η φ g0) T \[Pa\].
@@ -93,14 +187,13 @@ impl<R: Real> KineticTheory<R> {
     }
 
     /// Square of the speed of sound of the granular gas \[m²/s²\]:
-    /// T {1 + 8 η φ g0 + 4 η φ² g0' + ⅔ a (1 + 4 η φ g0)²}, with g0' = g0² (φ/φ_max)^(1/3) / (3 φ).
+    /// T {1 + 8 η φ g0 + 4 η φ² g0' + ⅔ a (1 + 4 η φ g0)²}; `slope` is φ² g0', of
+    /// [`RadialDistribution::slope`].
     ///
     /// `adiabatic` a is the share of the heat of compression that dissipation leaves: 1 for the
     /// isentropic speed, 0 for the isothermal.
     #[inline(always)]
-    pub fn sound_speed_squared(&self, phi: R, g0: R, temperature: R, adiabatic: R) -> R {
-        // (φ/φ_max)^(1/3) = 1 - 1/g0.
-        let slope = phi * g0 * (g0 - R::ONE) * R::of(1.0 / 3.0);
+    pub fn sound_speed_squared(&self, phi: R, g0: R, slope: R, temperature: R, adiabatic: R) -> R {
         let compressibility = self.compressibility(phi, g0);
         temperature
             * (R::ONE
@@ -215,38 +308,6 @@ pub fn balance_temperature<R: Real>(
     s * s
 }
 
-/// Pressure \[Pa\] that keeps a packing from being overfilled, and its derivative by φ over ρ_s.
-///
-/// The kinetic pressure dies with the granular temperature, so nothing carries the weight of a
-/// cold dense bed. P = B ρ_s x² / (φ_max + 0.012 - φ), x = max(0, φ - φ_max + 0.02), B = 5 m²/s²;
-/// past φ_max + 0.009 it goes on with that denominator. Zero, and with zero slope, below
-/// φ_max - 0.02.
-#[derive(Clone, Copy, Debug)]
-pub struct PackingBarrier<R> {
-    density: R,
-    max_packing: R,
-}
-
-impl<R: Real> PackingBarrier<R> {
-    /// The barrier of `powder`.
-    pub fn new(powder: &Powder) -> Self {
-        Self { density: R::of(powder.density), max_packing: R::of(powder.max_packing) }
-    }
-
-    /// (P \[Pa\], (dP/dφ)/ρ_s \[m²/s²\]) at φ.
-    #[inline(always)]
-    pub fn pressure(&self, phi: R) -> (R, R) {
-        let stiffness = R::of(5.0);
-        let x = (phi - self.max_packing + R::of(0.02)).max(R::ZERO);
-        let gap = self.max_packing + R::of(0.012) - phi;
-        let inside = gap > R::of(0.003);
-        let inverse = R::ONE / gap.max(R::of(0.003));
-        let curved = R::select(inside, x * inverse, R::ZERO);
-        let kinematic = stiffness * x * x * inverse;
-        (self.density * kinematic, stiffness * x * inverse * (R::of(2.0) + curved))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::scales::tests::{GAS, POWDER};
@@ -256,18 +317,60 @@ mod tests {
     const T: f64 = 2e-3;
     const K: f64 = 1e5;
 
+    fn princeton() -> Princeton<f64> {
+        Princeton::new(&POWDER)
+    }
+
     #[test]
-    fn radial_distribution_matches_the_princeton_value() {
-        let theory = KineticTheory::<f64>::new(&GAS, &POWDER);
-        assert!((theory.radial_distribution(0.6) - 38.0).abs() < 0.5);
-        assert!((theory.radial_distribution(0.0) - 1.0).abs() < 1e-9);
-        assert!(theory.radial_distribution(0.7) <= 1000.0);
+    fn radial_distributions_have_their_published_values() {
+        assert!((princeton().contact(0.6) - 38.0).abs() < 0.5);
+        assert!(princeton().contact(0.7) <= 1000.0);
+        let fluid: f64 = CarnahanStarling.contact(0.6);
+        assert!((fluid - 10.9).abs() < 0.05, "{fluid}");
+        // The virial series of hard spheres begins 1 + 5/2 φ + 4.5904 φ².
+        let ma_ahmadi = MaAhmadi::<f64>::new(&POWDER);
+        for phi in [1e-3, 1e-2] {
+            let series = 1.0 + 2.5 * phi + 4.5904 * phi * phi;
+            assert!((ma_ahmadi.contact(phi) - series).abs() < 12.0 * phi.powi(3));
+            let fluid: f64 = CarnahanStarling.contact(phi);
+            assert!((fluid - series).abs() < 0.1 * phi * phi + 12.0 * phi.powi(3));
+        }
+        // Two fits of the same fluid, with the published φ_max, where it freezes.
+        let published = MaAhmadi::<f64>::new(&Powder { max_packing: 0.64356, ..POWDER });
+        let fluid: f64 = CarnahanStarling.contact(0.49);
+        assert!((fluid - 5.6916).abs() < 5e-5, "{fluid}");
+        assert!((published.contact(0.49) / fluid - 1.0).abs() < 0.01);
+        assert!(ma_ahmadi.contact(0.7) <= 1000.0);
+    }
+
+    fn check_slope(radial: impl RadialDistribution<f64>, single: impl RadialDistribution<f32>) {
+        assert!((radial.contact(0.0) - 1.0).abs() < 1e-9);
+        assert!(radial.slope(0.0, radial.contact(0.0)).abs() < 1e-9);
+        for phi in [0.01, 0.2, 0.4, 0.55, 0.63] {
+            let h = 1e-6;
+            let slope = (radial.contact(phi + h) - radial.contact(phi - h)) / (2.0 * h);
+            let found = radial.slope(phi, radial.contact(phi)) / (phi * phi);
+            assert!((found / slope - 1.0).abs() < 1e-6, "{phi}: {found} {slope}");
+            let rounded = f64::from(single.contact(phi as f32));
+            assert!((rounded / radial.contact(phi) - 1.0).abs() < 1e-4, "{phi}: {rounded}");
+        }
+        for phi in [0.65, 0.66, 0.7] {
+            let slope = radial.slope(phi, radial.contact(phi));
+            assert!(slope.is_finite() && slope > 0.0, "{phi}: {slope}");
+        }
+    }
+
+    #[test]
+    fn slopes_of_the_radial_distributions_are_their_derivatives() {
+        check_slope(princeton(), Princeton::<f32>::new(&POWDER));
+        check_slope(CarnahanStarling, CarnahanStarling);
+        check_slope(MaAhmadi::<f64>::new(&POWDER), MaAhmadi::<f32>::new(&POWDER));
     }
 
     #[test]
     fn stress_and_conductivity_agree_with_the_formulae_as_printed() {
         let theory = KineticTheory::<f64>::new(&GAS, &POWDER);
-        let g0 = theory.radial_distribution(PHI);
+        let g0 = princeton().contact(PHI);
         let (rho, d, e): (f64, f64, f64) = (1500.0, 75e-6, 0.9);
         let eta = (1.0 + e) / 2.0;
         let beta = K * PHI;
@@ -297,7 +400,7 @@ mod tests {
     #[test]
     fn sources_agree_with_the_formulae_as_printed() {
         let theory = KineticTheory::<f64>::new(&GAS, &POWDER);
-        let g0 = theory.radial_distribution(PHI);
+        let g0 = princeton().contact(PHI);
         let (rho, d, eta): (f64, f64, f64) = (1500.0, 75e-6, 0.95);
         let mass = rho * PHI;
         let collisional =
@@ -318,7 +421,7 @@ mod tests {
     fn steady_temperature_balances_the_sources() {
         let theory = KineticTheory::<f64>::new(&GAS, &POWDER);
         for (phi, slip) in [(1e-4, 0.2), (0.05, 0.18), (0.3, 0.06), (0.6, 0.005)] {
-            let g0 = theory.radial_distribution(phi);
+            let g0 = princeton().contact(phi);
             let t = theory.steady_temperature(phi, g0, K, slip);
             let production = theory.slip_production(g0, slip * slip) / t.sqrt();
             let loss = theory.collisional_dissipation(phi, g0) * t.powf(1.5)
@@ -331,14 +434,15 @@ mod tests {
     fn sound_speed_is_the_isentropic_derivative_of_the_pressure() {
         // c² = ∂P/∂(ρφ) + (P/(ρφ))² ∂P/∂T / (1.5 ρφ ...) at constant entropy.
         let theory = KineticTheory::<f64>::new(&GAS, &POWDER);
-        let p = |phi: f64, t: f64| theory.pressure(phi, theory.radial_distribution(phi), t);
+        let p = |phi: f64, t: f64| theory.pressure(phi, princeton().contact(phi), t);
         let h = 1e-6;
         let by_fraction = (p(PHI + h, T) - p(PHI - h, T)) / (2.0 * h) / 1500.0;
-        let g0 = theory.radial_distribution(PHI);
+        let g0 = princeton().contact(PHI);
         let by_heat = 2.0 / 3.0 * theory.compressibility(PHI, g0).powi(2) * T;
-        let found = theory.sound_speed_squared(PHI, g0, T, 1.0);
+        let slope = princeton().slope(PHI, g0);
+        let found = theory.sound_speed_squared(PHI, g0, slope, T, 1.0);
         assert!((found / (by_fraction + by_heat) - 1.0).abs() < 1e-7);
-        let isothermal = theory.sound_speed_squared(PHI, g0, T, 0.0);
+        let isothermal = theory.sound_speed_squared(PHI, g0, slope, T, 0.0);
         assert!((isothermal / by_fraction - 1.0).abs() < 1e-7);
     }
 
@@ -347,7 +451,7 @@ mod tests {
         let theory = KineticTheory::<f64>::new(&GAS, &POWDER);
         for phi in [0.0, 1e-12] {
             for t in [0.0, 1e-12, 1.0] {
-                let g0 = theory.radial_distribution(phi);
+                let g0 = princeton().contact(phi);
                 let found = theory.transport(phi, g0, t, K);
                 assert!(found.viscosity.is_finite() && found.viscosity >= 0.0);
                 assert!(found.conductivity.is_finite() && found.conductivity >= 0.0);
@@ -370,17 +474,6 @@ mod tests {
                 let scale = 1.5 * (t + before) / dt + heating + damping * t + slip / t.sqrt();
                 assert!((rate - right).abs() < 1e-6 * scale, "{t}: {rate} {right}");
             }
-        }
-    }
-
-    #[test]
-    fn barrier_starts_smoothly_and_its_derivative_is_right() {
-        let barrier = PackingBarrier::<f64>::new(&POWDER);
-        assert_eq!(barrier.pressure(0.63), (0.0, 0.0));
-        let h = 1e-7;
-        for phi in [0.64, 0.655, 0.665] {
-            let slope = (barrier.pressure(phi + h).0 - barrier.pressure(phi - h).0) / (2.0 * h);
-            assert!((barrier.pressure(phi).1 * 1500.0 / slope - 1.0).abs() < 1e-5, "{phi}");
         }
     }
 }

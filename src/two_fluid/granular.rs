@@ -4,7 +4,8 @@ use super::stress::{Stress, pairs};
 use super::{GHOST, Medium};
 use crate::field::{Faces, Field};
 use crate::laws::drag::DragLaw;
-use crate::laws::kinetic_theory::balance_temperature;
+use crate::laws::friction::Friction;
+use crate::laws::kinetic_theory::{KineticTheory, RadialDistribution, balance_temperature};
 use crate::real::Real;
 use crate::rows::{Rows, by_axis, simd, sum_axes};
 
@@ -12,18 +13,11 @@ use crate::rows::{Rows, by_axis, simd, sum_axes};
 pub(super) trait DragRow<R>: Send + Sync {
     /// Turns the slip speed squared into β/φ, in place.
     fn fill(&self, drag_per_fraction: &mut [R], phi: &[R], slip_squared: &[R]);
-
-    /// β/φ of one cell.
-    fn per_fraction(&self, phi: R, slip: R) -> R;
 }
 
-impl<R: Real, L: DragLaw<R>> DragRow<R> for L {
+impl<R: Real, L: DragLaw<R> + Copy> DragRow<R> for L {
     fn fill(&self, drag_per_fraction: &mut [R], phi: &[R], slip_squared: &[R]) {
         drag_row(drag_per_fraction, phi, slip_squared, *self);
-    }
-
-    fn per_fraction(&self, phi: R, slip: R) -> R {
-        self.beta_per_fraction(phi, slip)
     }
 }
 
@@ -34,6 +28,120 @@ simd! {
         for i in 0..n {
             out[i] = law.beta_per_fraction(phi[i], slip_squared[i].sqrt());
         }
+    }
+}
+
+/// What the nearness of particles does, a row at a time: a radial distribution and a friction,
+/// chosen at the cost of one call per row.
+pub(super) trait ContactRow<R>: Send + Sync {
+    /// Leaves g0, viscosity, bulk viscosity and conductivity, as [`Closures`] has them.
+    fn kinetic(
+        &self,
+        outputs: [&mut [R]; 4],
+        medium: &Medium<R>,
+        phi: &[R],
+        theta: &[R],
+        drag: &[R],
+        cap: R,
+    );
+
+    /// Leaves the solids pressure; returns the largest squared speed of sound \[m²/s²\].
+    fn pressure(
+        &self,
+        pressure: &mut [R],
+        theory: KineticTheory<R>,
+        phi: &[R],
+        g0: &[R],
+        theta: &[R],
+        drag: &[R],
+        dt: R,
+    ) -> R;
+
+    /// g0 of one cell.
+    fn radial_distribution(&self, phi: R) -> R;
+
+    /// Frictional pressure of one cell \[Pa\].
+    fn frictional_pressure(&self, phi: R) -> R;
+}
+
+/// A radial distribution and a friction.
+pub(super) struct Contact<G, F> {
+    pub(super) radial: G,
+    pub(super) friction: F,
+}
+
+impl<R: Real, G: RadialDistribution<R>, F: Friction<R>> ContactRow<R> for Contact<G, F> {
+    fn kinetic(
+        &self,
+        [g0, viscosity, bulk, conductivity]: [&mut [R]; 4],
+        medium: &Medium<R>,
+        phi: &[R],
+        theta: &[R],
+        drag: &[R],
+        cap: R,
+    ) {
+        let radial = self.radial;
+        kinetic_row(g0, viscosity, bulk, conductivity, medium, radial, phi, theta, drag, cap);
+    }
+
+    fn pressure(
+        &self,
+        pressure: &mut [R],
+        theory: KineticTheory<R>,
+        phi: &[R],
+        g0: &[R],
+        theta: &[R],
+        drag: &[R],
+        dt: R,
+    ) -> R {
+        pressure_row(pressure, theory, self.radial, self.friction, phi, g0, theta, drag, dt)
+    }
+
+    fn radial_distribution(&self, phi: R) -> R {
+        self.radial.contact(phi)
+    }
+
+    fn frictional_pressure(&self, phi: R) -> R {
+        self.friction.pressure(phi).0
+    }
+}
+
+simd! {
+    fn pressure_row[R: Real, G: RadialDistribution<R>, F: Friction<R>](
+        pressure: &mut [R],
+        theory: KineticTheory<R>,
+        radial: G,
+        friction: F,
+        phi: &[R],
+        g0: &[R],
+        theta: &[R],
+        drag: &[R],
+        dt: R,
+    ) -> R {
+        let n = pressure.len();
+        let (phi, g0, theta, drag) = (&phi[..n], &g0[..n], &theta[..n], &drag[..n]);
+        let mut fastest = [R::ZERO; 16];
+        let mut i = 0;
+        while i < n {
+            let lanes = (n - i).min(16);
+            for lane in 0..lanes {
+                let at = i + lane;
+                let (contacts, stiffness) = friction.pressure(phi[at]);
+                pressure[at] = theory.pressure(phi[at], g0[at], theta[at]) + contacts;
+                let slope = radial.slope(phi[at], g0[at]);
+                // Dissipation is implicit, so of the heat of compression a step keeps only this.
+                let relaxation = theory.collisional_dissipation(phi[at], g0[at])
+                    * theta[at].sqrt()
+                    + R::of(2.0 / 3.0) * theory.viscous_dissipation(drag[at]);
+                let adiabatic = R::ONE / (R::ONE + dt * relaxation);
+                let c2 =
+                    theory.sound_speed_squared(phi[at], g0[at], slope, theta[at], adiabatic)
+                        + stiffness;
+                fastest[lane] = fastest[lane].max(c2);
+            }
+            i += lanes;
+        }
+        fastest.into_iter().fold(R::ZERO, R::max)
     }
 }
 
@@ -94,17 +202,8 @@ impl<R: Real, const D: usize> Closures<R, D> {
                 });
                 slip_row(slip, velocities);
                 medium.drag.fill(drag, phi.row(o), slip);
-                kinetic_row(
-                    g0,
-                    viscosity,
-                    bulk,
-                    conductivity,
-                    medium,
-                    phi.row(o),
-                    theta.row(o),
-                    drag,
-                    cap,
-                );
+                let outputs = [g0, viscosity, bulk, conductivity];
+                medium.contact.kinetic(outputs, medium, phi.row(o), theta.row(o), drag, cap);
             },
         );
     }
@@ -125,12 +224,13 @@ simd! {
 }
 
 simd! {
-    fn kinetic_row[R: Real](
+    fn kinetic_row[R: Real, G: RadialDistribution<R>](
         g0: &mut [R],
         viscosity: &mut [R],
         bulk: &mut [R],
         conductivity: &mut [R],
         medium: &Medium<R>,
+        radial: G,
         phi: &[R],
         theta: &[R],
         drag: &[R],
@@ -143,7 +243,7 @@ simd! {
         let theory = medium.theory;
         let density = medium.solids_density;
         for i in 0..n {
-            let contact = theory.radial_distribution(phi[i]);
+            let contact = radial.contact(phi[i]);
             let transport = theory.transport(phi[i], contact, theta[i], drag[i]);
             let bound = cap * density * (phi[i] + R::of(GHOST));
             g0[i] = contact;
@@ -189,17 +289,26 @@ pub(super) fn balance<R: Real, const D: usize>(
                 shear_row(theta_new, edges, R::ONE / medium.solids_density);
             }
             let u = std::array::from_fn(|a| [after[a].row(o), after[a].row(o + rows.stride(a))]);
+            let g0 = closures.radial_distribution.row(o);
             balance_row(
                 theta_new,
-                pressure,
                 medium,
                 phi.row(o),
                 theta.row(o),
-                closures.radial_distribution.row(o),
+                g0,
                 closures.drag_per_fraction.row(o),
                 closures.slip_squared.row(o),
                 u,
                 inverse_spacing,
+                dt,
+            );
+            medium.contact.pressure(
+                pressure,
+                medium.theory,
+                phi.row(o),
+                g0,
+                theta_new,
+                closures.drag_per_fraction.row(o),
                 dt,
             )
         },
@@ -258,7 +367,6 @@ simd! {
 simd! {
     fn balance_row[R: Real, const D: usize](
         theta_new: &mut [R],
-        pressure: &mut [R],
         medium: &Medium<R>,
         phi: &[R],
         theta: &[R],
@@ -268,9 +376,9 @@ simd! {
         u: [[&[R]; 2]; D],
         inverse_spacing: [R; D],
         dt: R,
-    ) -> R {
+    ) {
         let n = theta_new.len();
-        let (pressure, phi, theta) = (&mut pressure[..n], &phi[..n], &theta[..n]);
+        let (phi, theta) = (&phi[..n], &theta[..n]);
         let (g0, drag, slip_squared) = (&g0[..n], &drag[..n], &slip_squared[..n]);
         let u = by_axis(u, n);
         let theory = medium.theory;
@@ -291,25 +399,5 @@ simd! {
                 dt,
             );
         }
-        let mut fastest = [R::ZERO; 16];
-        let mut i = 0;
-        while i < n {
-            let lanes = (n - i).min(16);
-            for lane in 0..lanes {
-                let at = i + lane;
-                let (barrier, stiffness) = medium.barrier.pressure(phi[at]);
-                pressure[at] = theory.pressure(phi[at], g0[at], theta_new[at]) + barrier;
-                // Dissipation is implicit, so of the heat of compression a step keeps only this.
-                let relaxation = theory.collisional_dissipation(phi[at], g0[at])
-                    * theta_new[at].sqrt()
-                    + R::of(2.0 / 3.0) * theory.viscous_dissipation(drag[at]);
-                let adiabatic = R::ONE / (R::ONE + dt * relaxation);
-                let c2 = theory.sound_speed_squared(phi[at], g0[at], theta_new[at], adiabatic)
-                    + stiffness;
-                fastest[lane] = fastest[lane].max(c2);
-            }
-            i += lanes;
-        }
-        fastest.into_iter().fold(R::ZERO, R::max)
     }
 }
