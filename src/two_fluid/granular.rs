@@ -46,6 +46,7 @@ pub(super) trait ContactRow<R>: Send + Sync {
     );
 
     /// Leaves the solids pressure; returns the largest squared speed of sound \[m²/s²\].
+    #[allow(clippy::too_many_arguments)]
     fn pressure(
         &self,
         pressure: &mut [R],
