@@ -660,7 +660,8 @@ precision = "f64"
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
         fn any_resolved_case_reads_back_as_itself(
-            diameter in 10e-6..1e-3f64,
+            // Below some 20 µm a particle is longer than L_II and such cells are refused.
+            diameter in 30e-6..1e-3f64,
             half_cells in 8usize..100,
             cell in 1.0..9.0f64,
             width in 2usize..8,
