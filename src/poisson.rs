@@ -9,7 +9,7 @@
 use crate::field::{Faces, Field, Layout, Row};
 use crate::grid::Grid;
 use crate::real::Real;
-use crate::rows::{Rows, by_axis, dot, max_abs, simd, sum_axes};
+use crate::rows::{Rows, by_axis, dot, max_abs, per_axis, simd, sum_axes};
 
 /// Precision of the preconditioner.
 type Fast = f32;
@@ -86,7 +86,7 @@ impl<const D: usize> Level<D> {
         let (rows, weights) = (self.rows, &self.weights);
         rows.each([&mut self.inverse_diagonal], |o, [inverse]| {
             let weights: [[&[Fast]; 2]; D] =
-                std::array::from_fn(|a| [weights[a].row(o), weights[a].row(o.near(a, 1))]);
+                per_axis!(D, |a| [weights[a].row(o), weights[a].row(o.near(a, 1))]);
             inverse_diagonal_row(inverse, weights);
         });
     }
@@ -163,7 +163,7 @@ struct Stencil<'a, R, const D: usize> {
 impl<'a, R: Real, const D: usize> Stencil<'a, R, D> {
     #[inline(always)]
     fn at(weights: &'a Faces<R, D>, x: &'a Field<R, D>, o: Row<D>) -> Self {
-        let axes = std::array::from_fn(|a| {
+        let axes: [[&[R]; 4]; D] = per_axis!(D, |a| {
             let (weights, below, above) = (&weights[a], o.near(a, -1), o.near(a, 1));
             [weights.row(o), weights.row(above), x.row(below), x.row(above)]
         });

@@ -189,14 +189,19 @@ impl<const D: usize> Rows<D> {
     ) -> S {
         let row = self.layout.row(row);
         let span = self.layout.span(row);
-        let lines = outputs.0.map(|memory| {
+        let mut lines = [(); K].map(|()| <&mut [R]>::default());
+        for (line, memory) in lines.iter_mut().zip(outputs.0) {
             // SAFETY: `reduce` holds the outputs mutably, each with memory for this layout from
             // `memory` on and a halo before it, and `tree` visits every row once; rows with their
             // halos do not overlap.
-            unsafe { std::slice::from_raw_parts_mut(memory.offset(span.start), span.len()) }
-        });
-        let mut lines = lines;
-        let result = kernel(row, lines.each_mut().map(|line| cells_of(line)));
+            *line =
+                unsafe { std::slice::from_raw_parts_mut(memory.offset(span.start), span.len()) };
+        }
+        let mut cells = [(); K].map(|()| <&mut [R]>::default());
+        for (cells, line) in cells.iter_mut().zip(&mut lines) {
+            *cells = cells_of(line);
+        }
+        let result = kernel(row, cells);
         for line in lines {
             wrap_line(line);
         }
@@ -216,6 +221,30 @@ pub(crate) fn join<A: Send, B: Send>(
 /// Threads of the current pool.
 pub(crate) fn threads() -> usize {
     rayon::current_num_threads()
+}
+
+/// One value for each of the `$d` axes. A macro, because `from_fn` with a closure that looks up rows
+/// is not inlined, and a row is short.
+macro_rules! per_axis {
+    ($d:ident, |$axis:ident| $value:expr) => {{
+        let mut all = [Default::default(); $d];
+        let mut $axis = 0;
+        while $axis < $d {
+            all[$axis] = $value;
+            $axis += 1;
+        }
+        all
+    }};
+}
+pub(crate) use per_axis;
+
+/// The slices, all cut to `n`.
+#[inline(always)]
+pub(crate) fn cut<R, const K: usize>(mut slices: [&[R]; K], n: usize) -> [&[R]; K] {
+    for slice in &mut slices {
+        *slice = &slice[..n];
+    }
+    slices
 }
 
 /// The slices of each axis, all cut to `n`, as three whose third is idle in two dimensions.

@@ -38,7 +38,7 @@ use crate::laws::kinetic_theory::KineticTheory;
 use crate::laws::scales::{Gas, Powder, homogeneous_slip};
 use crate::poisson::Poisson;
 use crate::real::Real;
-use crate::rows::{Rows, join, threads};
+use crate::rows::{Rows, join, per_axis, threads};
 use exchange::Inertia;
 use granular::{Contact, ContactRow, DragRow};
 use rand::{RngExt, SeedableRng};
@@ -213,6 +213,8 @@ pub struct TwoFluid<R, const D: usize> {
     time: f64,
     steps: u64,
     next_dt: (f64, Limit),
+    /// Largest Σ |u_a|/h_a of the gas in a cell \[1/s\].
+    gas_speed: f64,
     /// [`TOLERANCE`], or what [`TwoFluid::with_tolerance`] set.
     tolerance: f64,
 
@@ -308,6 +310,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             time: 0.0,
             steps: 0,
             next_dt: (FIRST_STEP * time_scale, Limit::Growth),
+            gas_speed: slip / grid.spacing[D - 1],
             tolerance: TOLERANCE,
             phi,
             theta,
@@ -351,7 +354,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let dt = if left.is_finite() { remaining / left } else { longest };
         let inverse_spacing = self.grid.spacing.map(|h| R::of(1.0 / h));
         let inverse_square: f64 = self.grid.spacing.iter().map(|h| 1.0 / (h * h)).sum();
-        let gas_courant = dt * self.largest_courant(&self.gas);
+        let gas_courant = dt * self.gas_speed;
         let gas_steps = ((gas_courant / COURANT).ceil() as usize).clamp(1, MOST_GAS_STEPS);
 
         let before = Before {
@@ -397,13 +400,13 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let (phi, drag, increment) = (&self.phi, &self.drag, &self.increment);
         for axis in 0..D {
             rows.each([&mut self.solids[axis], &mut self.gas[axis]], |row, [us, ug]| {
-                let sides = [row.near(axis, -1), row];
+                let below = row.near(axis, -1);
                 exchange::correct_row(
                     us,
                     ug,
-                    sides.map(|row| phi.row(row)),
-                    sides.map(|row| drag.row(row)),
-                    sides.map(|row| increment.row(row)),
+                    [phi.row(below), phi.row(row)],
+                    [drag.row(below), drag.row(row)],
+                    [increment.row(below), increment.row(row)],
                     inertia,
                     inverse_spacing[axis],
                 );
@@ -431,6 +434,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         if residual > 100.0 * TOLERANCE {
             return Err(StepError::Pressure { time, iterations, residual, dt, limit });
         }
+        self.gas_speed = self.largest_courant(&self.gas);
         self.next_dt = self.choose_step(longest, sound, diffusivity, inverse_square);
         Ok(report)
     }
@@ -451,10 +455,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let tiny = 1e-300;
         [
             (COURANT / (self.largest_courant(&self.solids) + tiny), Limit::Solids),
-            (
-                MOST_GAS_STEPS as f64 * COURANT / (self.largest_courant(&self.gas) + tiny),
-                Limit::Gas,
-            ),
+            (MOST_GAS_STEPS as f64 * COURANT / (self.gas_speed + tiny), Limit::Gas),
             (SOUND_COURANT / (sound_squared * inverse_square + tiny).sqrt(), Limit::Sound),
             (DIFFUSION / (diffusivity * inverse_square + tiny), Limit::Diffusion),
             (LONGEST_STEP * scales.time(), Limit::Longest),
@@ -472,9 +473,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let inverse_spacing = self.grid.spacing.map(|h| R::of(1.0 / h));
         rows.fold(
             &|row| {
-                let u = std::array::from_fn(|a| {
-                    [velocity[a].row(row), velocity[a].row(row.near(a, 1))]
-                });
+                let u: [[&[R]; 2]; D] =
+                    per_axis!(D, |a| [velocity[a].row(row), velocity[a].row(row.near(a, 1))]);
                 exchange::courant_row(u, inverse_spacing)
             },
             &R::max,

@@ -3,7 +3,7 @@
 
 use super::{GHOST, Medium};
 use crate::real::Real;
-use crate::rows::{by_axis, simd, sum_axes};
+use crate::rows::{by_axis, cut, simd, sum_axes};
 
 /// What a face's equations of motion need besides velocities and pressures.
 #[derive(Clone, Copy)]
@@ -95,10 +95,10 @@ simd! {
     ) {
         let n = us.len();
         let (ug, flux, response) = (&mut ug[..n], &mut flux[..n], &mut response[..n]);
-        let carried = carried.map(|u| &u[..n]);
-        let (phi, drag) = (phi.map(|q| &q[..n]), drag.map(|q| &q[..n]));
-        let solids_pressure = solids_pressure.map(|q| &q[..n]);
-        let gas_pressure = gas_pressure.map(|q| &q[..n]);
+        let carried = cut(carried, n);
+        let (phi, drag) = (cut(phi, n), cut(drag, n));
+        let solids_pressure = cut(solids_pressure, n);
+        let gas_pressure = cut(gas_pressure, n);
         for i in 0..n {
             let face = inertia.mobility(phi.map(|q| q[i]), drag.map(|q| q[i]));
             let gradient = inverse_spacing * (gas_pressure[1][i] - gas_pressure[0][i]);
@@ -127,8 +127,8 @@ simd! {
         inverse_spacing: R,
     ) {
         let n = us.len();
-        let (ug, phi, drag) = (&mut ug[..n], phi.map(|q| &q[..n]), drag.map(|q| &q[..n]));
-        let increment = increment.map(|q| &q[..n]);
+        let (ug, phi, drag) = (&mut ug[..n], cut(phi, n), cut(drag, n));
+        let increment = cut(increment, n);
         for i in 0..n {
             let face = inertia.mobility(phi.map(|q| q[i]), drag.map(|q| q[i]));
             let gradient = inverse_spacing * (increment[1][i] - increment[0][i]);

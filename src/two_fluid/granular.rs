@@ -5,7 +5,7 @@ use crate::laws::drag::DragLaw;
 use crate::laws::friction::Friction;
 use crate::laws::kinetic_theory::{KineticTheory, RadialDistribution, balance_temperature};
 use crate::real::Real;
-use crate::rows::{by_axis, simd, sum_axes};
+use crate::rows::{by_axis, cut, simd, sum_axes};
 
 /// A drag law, a row at a time: the choice of law costs one call per row.
 pub(super) trait DragRow<R>: Send + Sync {
@@ -215,8 +215,8 @@ simd! {
         inverse_spacing: R,
     ) {
         let n = heating.len();
-        let (theta, conductivity) = (theta.map(|t| &t[..n]), conductivity.map(|k| &k[..n]));
-        let (normal, u) = (&normal[..n], u.map(|u| u.map(|u| &u[..n])));
+        let (theta, conductivity) = (cut(theta, n), cut(conductivity, n));
+        let (normal, u) = (&normal[..n], [cut(u[0], n), cut(u[1], n)]);
         let tiny = R::of(1e-30);
         let two = R::of(2.0);
         for i in 0..n {
@@ -245,7 +245,7 @@ simd! {
     /// the solids around the edge, so that per mass no division is left.
     pub(super) fn edge_heating_row[R: Real](heating: &mut [R], edges: [&[R]; 4], inverse_density: R) {
         let n = heating.len();
-        let edges = edges.map(|e| &e[..n]);
+        let edges = cut(edges, n);
         for i in 0..n {
             heating[i] += inverse_density * (edges[0][i] + edges[1][i] + edges[2][i] + edges[3][i]);
         }

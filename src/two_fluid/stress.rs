@@ -7,7 +7,7 @@
 use super::GHOST;
 use crate::field::{Lines, Row};
 use crate::real::Real;
-use crate::rows::{by_axis, simd, sum_axes};
+use crate::rows::{by_axis, cut, simd, sum_axes};
 
 /// Pairs of axes (a, b), a < b; the place of a pair in the list is the place of its shear stress.
 pub(super) fn pairs<const D: usize>() -> impl Iterator<Item = (usize, (usize, usize))> {
@@ -43,7 +43,8 @@ pub(super) fn around<R: Real, const D: usize>(
     (a, b): (usize, usize),
     row: Row<D>,
 ) -> [&[R]; 4] {
-    [row, row.near(a, -1), row.near(b, -1), row.near(a, -1).near(b, -1)].map(|row| q.row(row))
+    let (left, below) = (row.near(a, -1), row.near(b, -1));
+    [q.row(row), q.row(left), q.row(below), q.row(left.near(b, -1))]
 }
 
 simd! {
@@ -57,7 +58,7 @@ simd! {
         inverse_spacing: [R; D],
     ) {
         let n = normal.len();
-        let [below, above] = u[axis].map(|u| &u[..n]);
+        let [below, above] = cut(u[axis], n);
         let u = by_axis(u, n);
         let (viscosity, bulk) = (&viscosity[..n], &bulk[..n]);
         for i in 0..n {
@@ -76,7 +77,7 @@ simd! {
     /// beside a dense cell.
     pub(super) fn shear_row[R: Real](shear: &mut [R], u: [&[R]; 4], viscosity: [&[R]; 4], inverse: [R; 2]) {
         let n = shear.len();
-        let (u, viscosity) = (u.map(|u| &u[..n]), viscosity.map(|m| &m[..n]));
+        let (u, viscosity) = (cut(u, n), cut(viscosity, n));
         for i in 0..n {
             let strain = inverse[1] * (u[0][i] - u[1][i]) + inverse[0] * (u[2][i] - u[3][i]);
             // 4 / (1/a + 1/b + 1/c + 1/d) with one division; zero if any is zero.
@@ -99,7 +100,7 @@ simd! {
         inverse_spacing: [R; D],
     ) {
         let n = new.len();
-        let (velocity, phi) = (&velocity[..n], phi.map(|p| &p[..n]));
+        let (velocity, phi) = (&velocity[..n], cut(phi, n));
         let stress = by_axis(stress, n);
         for i in 0..n {
             let force = sum_axes!(D, stress, |[lower, upper], b| {
@@ -123,8 +124,8 @@ simd! {
     ) {
         let n = heating.len();
         let [before, after] = u;
-        let (before, after) = (before.map(|u| &u[..n]), after.map(|u| &u[..n]));
-        let (shear, phi) = (&shear[..n], phi.map(|p| &p[..n]));
+        let (before, after) = (cut(before, n), cut(after, n));
+        let (shear, phi) = (&shear[..n], cut(phi, n));
         for i in 0..n {
             let strain = |u: &[&[R]; 4]| {
                 inverse[1] * (u[0][i] - u[1][i]) + inverse[0] * (u[2][i] - u[3][i])

@@ -16,7 +16,7 @@ use super::transport::{self, Line, Share};
 use super::{MOST_GAS_STEPS, Medium};
 use crate::field::{Faces, Field, Layout, Lines, Ring, Row, Slabs, fill};
 use crate::real::Real;
-use crate::rows::max_abs;
+use crate::rows::{max_abs, per_axis};
 
 /// What a sweep reads.
 pub(super) struct Before<'a, R, const D: usize> {
@@ -349,7 +349,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         let gas = &self.gas[before.gas_steps - 1];
         let mut fastest = R::ZERO;
         for row in before.rows(slab) {
-            let velocities: [[&[R]; 4]; D] = std::array::from_fn(|a| {
+            let velocities: [[&[R]; 4]; D] = per_axis!(D, |a| {
                 let above = row.near(a, 1);
                 let (us, ug) = (&self.solids[a], &gas[a]);
                 [us.row(row), us.row(above), ug.row(row), ug.row(above)]
@@ -409,7 +409,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         let impulse = before.dt / before.medium.solids_density;
         for row in before.rows(slab) {
             for axis in 0..D {
-                let stress = std::array::from_fn(|b| {
+                let stress: [[&[R]; 2]; D] = per_axis!(D, |b| {
                     if b == axis {
                         [self.normal[axis].row(row.near(axis, -1)), self.normal[axis].row(row)]
                     } else {
@@ -432,7 +432,9 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         let h = before.inverse_spacing;
         for row in before.rows(slab) {
             for (at, (a, b)) in pairs::<D>() {
-                let u = [&self.solids, &self.sheared].map(|u| shear_lines(u, (a, b), row));
+                let axes = (a, b);
+                let u =
+                    [shear_lines(&self.solids, axes, row), shear_lines(&self.sheared, axes, row)];
                 let phi = around(&self.phi, (a, b), row);
                 let shear = self.shear[at].row(row);
                 fill!(
@@ -469,19 +471,21 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     // Conduction and viscous heating, per solids mass, gather in `theta` first.
                     theta.fill(R::ZERO);
                     for a in 0..D {
-                        let lines = [row.near(a, -1), row, row.near(a, 1)];
-                        let old = lines.map(|row| self.theta.row(row));
-                        let conductivity = lines.map(|row| self.conductivity.row(row));
-                        let u = [&self.solids[a], &self.sheared[a]]
-                            .map(|u| [u.row(row), u.row(row.near(a, 1))]);
+                        let (below, above) = (row.near(a, -1), row.near(a, 1));
+                        let q = &self.theta;
+                        let old = [q.row(below), q.row(row), q.row(above)];
+                        let q = &self.conductivity;
+                        let conductivity = [q.row(below), q.row(row), q.row(above)];
+                        let (u, v) = (&self.solids[a], &self.sheared[a]);
+                        let u = [[u.row(row), u.row(above)], [v.row(row), v.row(above)]];
                         let normal = self.normal[a].row(row);
                         granular::heating_row(theta, old, conductivity, normal, u, h[a]);
                     }
                     granular::per_mass_row(theta, phi, medium.solids_density);
                     for (at, (a, b)) in pairs::<D>() {
                         let (right, up) = (row.near(a, 1), row.near(b, 1));
-                        let edges = [row, right, up, right.near(b, 1)]
-                            .map(|row| self.shear_heating[at].row(row));
+                        let q = &self.shear_heating[at];
+                        let edges = [q.row(row), q.row(right), q.row(up), q.row(right.near(b, 1))];
                         granular::edge_heating_row(theta, edges, R::ONE / medium.solids_density);
                     }
                     granular::balance_row(theta, medium, phi, old, g0, drag, slip, u, h, dt);
@@ -558,7 +562,7 @@ fn both_faces<R: Real, const D: usize>(
     faces: &[impl Lines<R, D>; D],
     row: Row<D>,
 ) -> [[&[R]; 2]; D] {
-    std::array::from_fn(|a| [faces[a].row(row), faces[a].row(row.near(a, 1))])
+    per_axis!(D, |a| [faces[a].row(row), faces[a].row(row.near(a, 1))])
 }
 
 /// Momentum of one phase and what carries it.
@@ -598,7 +602,7 @@ impl<R: Real, L: Lines<R, D>, const D: usize> Momentum<'_, R, L, D> {
             }
             let on = &on[component];
             for row in before.rows(slab) {
-                let carried: [[&[R]; 2]; D] = std::array::from_fn(|axis| {
+                let carried: [[&[R]; 2]; D] = per_axis!(D, |axis| {
                     let carried = if axis + 1 == D { on } else { &within[axis] };
                     [carried.row(row), carried.row(row.near(axis, 1))]
                 });

@@ -7,7 +7,7 @@
 use super::GHOST;
 use crate::field::{Lines, Row};
 use crate::real::Real;
-use crate::rows::{by_axis, simd, sum_axes};
+use crate::rows::{by_axis, cut, simd, sum_axes};
 use crate::stencil::upwind;
 
 /// Four neighbours in a line across a face: two on either side.
@@ -18,12 +18,13 @@ impl<'a, R: Real> Line<'a, R> {
     /// Across the lower faces of `row` along `axis`.
     #[inline(always)]
     pub(super) fn at<const D: usize>(q: &'a impl Lines<R, D>, row: Row<D>, axis: usize) -> Self {
-        Self([-2, -1, 0, 1].map(|n| q.row(row.near(axis, n))))
+        let at = |n| q.row(row.near(axis, n));
+        Self([at(-2), at(-1), at(0), at(1)])
     }
 
     #[inline(always)]
     fn cut(self, n: usize) -> Self {
-        Self(self.0.map(|row| &row[..n]))
+        Self(cut(self.0, n))
     }
 
     #[inline(always)]
@@ -68,7 +69,7 @@ simd! {
         courant: R,
     ) {
         let n = fs.len();
-        let (phi, theta, most) = (phi.cut(n), theta.cut(n), most.map(|m| &m[..n]));
+        let (phi, theta, most) = (phi.cut(n), theta.cut(n), cut(most, n));
         let (fg, ft, us, ug) = (&mut fg[..n], &mut ft[..n], &us[..n], &ug[..n]);
         for i in 0..n {
             let face = R::of(0.5) * (phi.0[1][i] + phi.0[2][i]);
@@ -152,7 +153,7 @@ simd! {
     ) {
         let n = out.len();
         let carried = carried.cut(n);
-        let (flux, velocity) = (flux.map(|f| &f[..n]), velocity.map(|v| &v[..n]));
+        let (flux, velocity) = (cut(flux, n), cut(velocity, n));
         let half = R::of(0.5) * courant;
         for i in 0..n {
             let through = half * (flux[0][i] + flux[1][i]);
@@ -176,7 +177,7 @@ simd! {
         let n = new.len();
         let u = &u[..n];
         let carried = by_axis(carried, n);
-        let [below, here, below_new, here_new] = fractions.map(|f| &f[..n]);
+        let [below, here, below_new, here_new] = cut(fractions, n);
         let half = R::of(0.5);
         for i in 0..n {
             let before = half * (below[i] + here[i]);
