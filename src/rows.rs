@@ -8,7 +8,7 @@
 //! Reductions follow one fixed tree over the rows, so results do not depend on the number of
 //! threads.
 
-use crate::field::{Field, Layout, Row, cells_of, wrap_line};
+use crate::field::{Field, Layout, Row, cells_of};
 use crate::real::Real;
 use std::sync::atomic::{AtomicU8, Ordering};
 
@@ -203,7 +203,7 @@ impl<const D: usize> Rows<D> {
         }
         let result = kernel(row, cells);
         for line in lines {
-            wrap_line(line);
+            self.layout.wrap(line);
         }
         result
     }

@@ -188,7 +188,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             solids_pressure: ring(2),
             total: rings(2),
             limit: ring(1),
-            spare: vec![vec![R::ZERO; layout.row_with_halo_len()]; 3],
+            spare: vec![vec![R::ZERO; layout.most_elements()]; 3],
         }
     }
 
@@ -262,6 +262,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         for row in before.rows(slab) {
             let velocity = both_faces(before.solids, row);
             fill!(
+                before.layout,
                 [most = self.most.line(row)],
                 transport::most_row(most, velocity, before.courant)
             );
@@ -277,6 +278,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let (phi, theta) = (Line::at(*phi, row, axis), Line::at(*theta, row, axis));
                 let (us, ug) = (solids[axis].row(row), gas[axis].row(row));
                 fill!(
+                    before.layout,
                     [
                         fs = self.solids_flux[axis].line(row),
                         fg = self.gas_flux[axis].line(row),
@@ -294,6 +296,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             let (fs, ft) = (both_faces(&self.solids_flux, row), both_faces(&self.heat_flux, row));
             let (phi_old, theta_old) = (before.phi.row(row), before.theta.row(row));
             fill!(
+                before.layout,
                 [phi = self.phi.line(row), theta = self.theta.line(row)],
                 transport::advect_row(phi, theta, phi_old, theta_old, fs, ft, before.courant)
             );
@@ -306,6 +309,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         let Self { carried_within, carried_on, solids_flux, solids, phi, .. } = self;
         let within = carried_within.as_mut_slice();
         let momentum = Momentum {
+            layout: before.layout,
             velocity: before.solids,
             flux: solids_flux,
             fractions: [before.phi as &dyn Lines<R, D>, phi],
@@ -331,11 +335,27 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         let courant = before.courant.map(|c| c * R::of(part));
         let on = &mut carried_on[1 + n];
         let (done, to_do) = gas.split_at_mut(n);
+        let layout = before.layout;
         match done.last() {
-            None => Momentum { velocity: before.gas, flux: gas_flux, fractions, shares, courant }
-                .carry(before, within, on, &mut to_do[0], slab, before_first),
-            Some(velocity) => Momentum { velocity, flux: gas_flux, fractions, shares, courant }
-                .carry(before, within, on, &mut to_do[0], slab, before_first),
+            None => Momentum {
+                layout,
+                velocity: before.gas,
+                flux: gas_flux,
+                fractions,
+                shares,
+                courant,
+            }
+            .carry(before, within, on, &mut to_do[0], slab, before_first),
+            Some(velocity) => {
+                Momentum { layout, velocity, flux: gas_flux, fractions, shares, courant }.carry(
+                    before,
+                    within,
+                    on,
+                    &mut to_do[0],
+                    slab,
+                    before_first,
+                )
+            }
         }
     }
 
@@ -357,7 +377,8 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             let (phi, theta) = (self.phi.row(row), self.theta.row(row));
             let medium = before.medium;
             let bounds = [before.most_diffusivity, before.nearly_empty];
-            let largest = fill!(
+            let most = fill!(
+                before.layout,
                 [
                     slip = self.slip_squared.line(row),
                     drag = self.drag.line(row),
@@ -372,10 +393,10 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     medium.drag.fill(drag, phi, slip);
                     let outputs = [g0, viscosity, bulk, conductivity, &mut *diffusivity];
                     medium.contact.kinetic(outputs, medium, phi, theta, drag, bounds);
-                    max_abs(diffusivity)
+                    largest(before.layout, diffusivity)
                 }
             );
-            fastest = fastest.max(largest);
+            fastest = fastest.max(most);
             after.drag.line(row, &mut self.spare[0]).copy_from_slice(self.drag.whole(row));
         }
         fastest
@@ -389,6 +410,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let u = both_faces(&self.solids, row);
                 let (mu, bulk) = (self.viscosity.row(row), self.bulk_viscosity.row(row));
                 fill!(
+                    before.layout,
                     [normal = self.normal[axis].line(row)],
                     stress::normal_row(normal, axis, u, mu, bulk, h)
                 );
@@ -397,6 +419,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let u = shear_lines(&self.solids, (a, b), row);
                 let mu = around(&self.viscosity, (a, b), row);
                 fill!(
+                    before.layout,
                     [shear = self.shear[at].line(row)],
                     stress::shear_row(shear, u, mu, [h[a], h[b]])
                 );
@@ -420,6 +443,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let phi = [self.phi.row(row.near(axis, -1)), self.phi.row(row)];
                 let u = self.solids[axis].row(row);
                 fill!(
+                    before.layout,
                     [new = self.sheared[axis].line(row)],
                     stress::apply_row(new, u, stress, phi, impulse, before.inverse_spacing)
                 );
@@ -438,6 +462,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let phi = around(&self.phi, (a, b), row);
                 let shear = self.shear[at].row(row);
                 fill!(
+                    before.layout,
                     [heating = self.shear_heating[at].line(row)],
                     stress::shear_heating_row(heating, shear, u, phi, [h[a], h[b]])
                 );
@@ -461,7 +486,8 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             let (drag, slip) = (self.drag.row(row), self.slip_squared.row(row));
             let old = self.theta.row(row);
             let u = both_faces(&self.sheared, row);
-            let largest = fill!(
+            let most = fill!(
+                before.layout,
                 [
                     theta = after.theta.line(row, &mut self.spare[0]),
                     pressure = self.solids_pressure.line(row),
@@ -491,10 +517,10 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     granular::balance_row(theta, medium, phi, old, g0, drag, slip, u, h, dt);
                     let outputs = [pressure, &mut *sound];
                     medium.contact.pressure(outputs, medium.theory, phi, g0, theta, drag, dt);
-                    max_abs(sound)
+                    largest(before.layout, sound)
                 }
             );
-            fastest = fastest.max(largest);
+            fastest = fastest.max(most);
         }
         fastest
     }
@@ -510,6 +536,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let buoyancy = if axis + 1 == D { before.buoyancy } else { [R::ZERO; 2] };
                 let [us, ug, weights] = self.spare.first_chunk_mut().expect("three spare rows");
                 fill!(
+                    before.layout,
                     [
                         us = after.solids[axis].line(row, us),
                         ug = after.gas[axis].line(row, ug),
@@ -541,6 +568,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         for row in before.rows(slab) {
             let total = both_faces(&self.total, row);
             fill!(
+                before.layout,
                 [right = after.right.line(row, &mut self.spare[0])],
                 exchange::convergence_row(right, total, before.inverse_spacing)
             );
@@ -551,9 +579,13 @@ impl<R: Real, const D: usize> Sweep<R, D> {
 impl<R: Real, const D: usize> Before<'_, R, D> {
     /// The rows of a slab.
     fn rows(&self, slab: isize) -> impl Iterator<Item = Row<D>> + use<R, D> {
-        let layout = self.layout;
-        (0..layout.rows_of_slab()).map(move |row| layout.row_of_slab(slab, row))
+        self.layout.pieces(slab)
     }
+}
+
+/// The largest absolute value of rows.
+fn largest<R: Real, const D: usize>(layout: Layout<D>, cells: &[R]) -> R {
+    layout.each(cells).map(max_abs).fold(R::ZERO, R::max)
 }
 
 /// The lower and upper faces of a row of cells along each axis.
@@ -567,6 +599,7 @@ fn both_faces<R: Real, const D: usize>(
 
 /// Momentum of one phase and what carries it.
 struct Momentum<'a, R, L, const D: usize> {
+    layout: Layout<D>,
     velocity: &'a [L; D],
     flux: &'a [Ring<R, D>; D],
     /// φ before and after.
@@ -611,6 +644,7 @@ impl<R: Real, L: Lines<R, D>, const D: usize> Momentum<'_, R, L, D> {
                 let fractions = [old.row(below), old.row(row), after.row(below), after.row(row)];
                 let u = self.velocity[component].row(row);
                 fill!(
+                    before.layout,
                     [new = new[component].line(row)],
                     transport::momentum_row(new, u, carried, fractions, self.shares)
                 );
@@ -623,6 +657,7 @@ impl<R: Real, L: Lines<R, D>, const D: usize> Momentum<'_, R, L, D> {
         let below = row.near(component, -1);
         let (flux, velocity) = (&self.flux[axis], &self.velocity[axis]);
         fill!(
+            self.layout,
             [out = out.line(row)],
             transport::carry_row(
                 out,
