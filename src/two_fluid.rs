@@ -21,6 +21,7 @@
 
 mod exchange;
 mod granular;
+mod imposed;
 mod state;
 mod stress;
 mod transport;
@@ -40,6 +41,8 @@ use crate::real::Real;
 use crate::rows::Rows;
 use exchange::Inertia;
 use granular::{Closures, Contact, ContactRow, DragRow};
+pub use imposed::Quantity;
+use imposed::Sources;
 use rand::{RngExt, SeedableRng};
 pub use state::StateError;
 use stress::Stress;
@@ -209,6 +212,8 @@ pub struct TwoFluid<R, const D: usize> {
     next_dt: (f64, Limit),
     /// [`TOLERANCE`], or what [`TwoFluid::with_tolerance`] set.
     tolerance: f64,
+    /// What [`TwoFluid::set_sources`] set.
+    sources: Option<Sources<R, D>>,
 
     phi: Field<R, D>,
     theta: Field<R, D>,
@@ -304,6 +309,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             steps: 0,
             next_dt: (FIRST_STEP * time_scale, Limit::Growth),
             tolerance: TOLERANCE,
+            sources: None,
             phi,
             theta,
             pressure: zeros(),
@@ -361,6 +367,9 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
 
         let transported = [&mut self.phi_new, &mut self.theta_new];
         transport::advect(&rows, transported, &self.phi, &self.theta, &self.fluxes, courant);
+        if let Some(sources) = &self.sources {
+            sources.heat(&rows, &mut self.theta_new, R::of(dt));
+        }
 
         let fractions = [&self.phi, &self.phi_new];
         for axis in 0..D {
@@ -412,6 +421,9 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             R::of(dt),
         );
 
+        if let Some(sources) = &self.sources {
+            sources.push(&rows, [&mut self.solids, &mut self.gas], R::of(dt));
+        }
         let inertia = Inertia::new(&self.medium, R::of(dt));
         let drag = &self.closures.drag_per_fraction;
         for axis in 0..D {
