@@ -3,9 +3,9 @@
 //! Without sources a step costs what it costs without this file.
 
 use super::{Limit, StepError, StepReport, TwoFluid};
-use crate::field::{Faces, Field, Layout};
+use crate::field::{Faces, Field, Layout, Row};
 use crate::real::Real;
-use crate::rows::{Rows, simd};
+use crate::rows::simd;
 
 /// A field of the state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,7 +33,6 @@ impl Quantity {
 }
 
 /// Rates added to a step's own.
-#[derive(Clone, Debug)]
 pub(super) struct Sources<R, const D: usize> {
     /// Of u_s and u_g \[m/s²\].
     velocities: [Faces<R, D>; 2],
@@ -42,25 +41,29 @@ pub(super) struct Sources<R, const D: usize> {
 }
 
 impl<R: Real, const D: usize> Sources<R, D> {
-    pub(super) fn heat(&self, rows: &Rows<D>, theta: &mut Field<R, D>, dt: R) {
-        add(rows, theta, &self.temperature, dt);
+    /// T += dt rate in a row.
+    pub(super) fn heat(&self, theta: &mut [R], row: Row<D>, dt: R) {
+        add_row(theta, self.temperature.row(row), dt);
     }
 
-    pub(super) fn push(&self, rows: &Rows<D>, velocities: [&mut Faces<R, D>; 2], dt: R) {
-        for (velocity, source) in velocities.into_iter().zip(&self.velocities) {
-            for axis in 0..D {
-                add(rows, &mut velocity[axis], &source[axis], dt);
-            }
+    /// Leaves the velocities of both phases along `axis` plus dt times their rates in `pushed`.
+    pub(super) fn push(
+        &self,
+        pushed: &mut [Vec<R>; 2],
+        velocities: [&[R]; 2],
+        axis: usize,
+        row: Row<D>,
+        dt: R,
+    ) {
+        for phase in 0..2 {
+            pushed[phase].copy_from_slice(velocities[phase]);
+            add_row(&mut pushed[phase], self.velocities[phase][axis].row(row), dt);
         }
     }
 }
 
-/// q += dt rate.
-fn add<R: Real, const D: usize>(rows: &Rows<D>, q: &mut Field<R, D>, rate: &Field<R, D>, dt: R) {
-    rows.each([q], |o, [q]| add_row(q, rate.row(o), dt));
-}
-
 simd! {
+    /// q += dt rate.
     fn add_row[R: Real](q: &mut [R], rate: &[R], dt: R) {
         let rate = &rate[..q.len()];
         for (q, rate) in q.iter_mut().zip(rate) {
@@ -92,6 +95,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             Quantity::GasVelocity(axis) => &mut self.gas[axis],
         };
         field.set(|index| R::of(value(index)));
+        self.gas_speed = self.largest_courant(&self.gas);
     }
 
     /// Rates added from the next step on to those of the velocities and the temperature, per time,

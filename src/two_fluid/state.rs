@@ -14,7 +14,8 @@ use crate::real::Real;
 use std::io::{self, Read, Write};
 
 /// The limits by their number in a state.
-const LIMITS: [Limit; 5] = [Limit::Growth, Limit::Solids, Limit::Gas, Limit::Sound, Limit::Longest];
+const LIMITS: [Limit; 6] =
+    [Limit::Growth, Limit::Solids, Limit::Gas, Limit::Sound, Limit::Longest, Limit::Diffusion];
 
 /// A state that cannot be taken.
 #[derive(Debug, thiserror::Error)]
@@ -109,6 +110,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         for field in scalars.into_iter().chain(&mut self.solids).chain(&mut self.gas) {
             read_field(field, from)?;
         }
+        self.gas_speed = self.largest_courant(&self.gas);
         Ok(())
     }
 }
@@ -220,8 +222,8 @@ mod tests {
             assert!(matches!(refused, Err(StateError::Read(_))), "{len}: {refused:?}");
         }
         let mut unknown = kept;
-        unknown[2 + 16 + 24] = 5;
+        unknown[2 + 16 + 24] = 6;
         let refused = same.restore_state(&mut unknown.as_slice());
-        assert!(matches!(refused, Err(StateError::Limit(5))), "{refused:?}");
+        assert!(matches!(refused, Err(StateError::Limit(6))), "{refused:?}");
     }
 }

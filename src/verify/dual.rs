@@ -153,6 +153,10 @@ impl<T: Real, const N: usize> Real for Dual<T, N> {
         let root = self.value.sqrt();
         self.chain(root, T::of(0.5) / root)
     }
+    fn cbrt(self) -> Self {
+        let root = self.value.cbrt();
+        self.chain(root, T::of(1.0 / 3.0) * root / self.value)
+    }
     fn abs(self) -> Self {
         if self.value < T::ZERO { -self } else { self }
     }
@@ -186,7 +190,7 @@ mod tests {
 
     /// Everything that the laws may ask of a number, of two.
     fn formula<S: Smooth>([x, y]: [S; 2]) -> S {
-        let q = x.power(S::of(0.687)) / (S::ONE + x * y.sqrt()) - (S::of(0.3) * y).exp();
+        let q = x.power(S::of(0.687)) / (S::ONE + x * y.sqrt() * y.cbrt()) - (S::of(0.3) * y).exp();
         q.abs().max(S::of(1e-3)).min(S::of(1e3)) * (x * y).sin() + (x - y).cos() * y.log2()
     }
 
