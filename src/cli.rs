@@ -23,6 +23,7 @@ Examples:
   favre run my-powder.toml --duration '50 u_t/g' --out trial
   favre stability my-powder.toml            what grid and box its instability asks for
   favre bench --quick                       how fast this machine is
+  favre verify --quick                      whether the simulator solves its equations
 
 Exit status: 0 done, 1 failed while running, 2 misuse, 130 interrupted.";
 
@@ -63,6 +64,8 @@ pub enum Command {
     Stability(Stability),
     /// Measure how fast this machine runs the kernels
     Bench(Bench),
+    /// Check that the simulator solves its equations
+    Verify(Verify),
 }
 
 /// `favre run`.
@@ -135,6 +138,20 @@ pub struct Bench {
     #[arg(long)]
     pub quick: bool,
     /// Print the times as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `favre verify`.
+#[derive(Args, Debug)]
+pub struct Verify {
+    /// Only these checks
+    #[arg(long, value_name = "NAME", num_args = 1..)]
+    pub only: Vec<String>,
+    /// What takes less than a minute: fewer and coarser grids
+    #[arg(long)]
+    pub quick: bool,
+    /// Print the table as JSON
     #[arg(long)]
     pub json: bool,
 }

@@ -1,4 +1,4 @@
-//! [`Field`]: one number per cell; [`Faces`]: one per face of each axis; [`Ring`]: the last few
+//! [`Field`]: one number per cell; [`Faces`]: one per face of each axis; `Ring`: the last few
 //! slabs of a field that a sweep leaves behind. All periodic.
 
 use crate::grid::Grid;

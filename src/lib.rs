@@ -38,3 +38,4 @@ pub mod output;
 pub mod pipeline;
 pub mod progress;
 pub mod summary;
+pub mod verify;

@@ -16,6 +16,7 @@ use favre::case::{Case, DEFAULT};
 use favre::checkpoint::Checkpoints;
 use favre::output::Output;
 use favre::pipeline::{self, RunError, RunOptions};
+use favre::verify::{self, Effort};
 
 use cli::{Cli, Command};
 use interrupt::{INTERRUPTED, Interrupt};
@@ -46,6 +47,7 @@ fn main() -> ExitCode {
         Some(Command::Run(args)) => run(&args),
         Some(Command::Stability(args)) => stability(&args),
         Some(Command::Bench(args)) => bench(&args),
+        Some(Command::Verify(args)) => verify(&args),
         None => Err(Failure::misuse(cli::WELCOME)),
     };
     match result {
@@ -169,6 +171,16 @@ fn stability(args: &cli::Stability) -> Result<(), Failure> {
 fn bench(args: &cli::Bench) -> Result<(), Failure> {
     let report = bench::measure(args.quick).map_err(Failure::failed)?;
     if args.json { print_json(&report) } else { print(&report) }
+}
+
+fn verify(args: &cli::Verify) -> Result<(), Failure> {
+    let effort = if args.quick { Effort::Quick } else { Effort::Full };
+    let progress = |name: &str| say(format_args!("favre: checking: {name}"));
+    let report = verify::verify(&args.only, effort, progress).map_err(Failure::misuse)?;
+    if args.json { print_json(&report) } else { print(&report) }?;
+    let failed = report.failed();
+    let message = || Failure::failed(format!("{failed} of {} do not pass", report.rows.len()));
+    if failed == 0 { Ok(()) } else { Err(message()) }
 }
 
 /// An error and its causes on one line.

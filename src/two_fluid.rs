@@ -21,6 +21,7 @@
 
 mod exchange;
 mod granular;
+mod imposed;
 mod state;
 mod stress;
 mod sweep;
@@ -41,6 +42,8 @@ use crate::real::Real;
 use crate::rows::{Rows, join, per_axis, threads};
 use exchange::Inertia;
 use granular::{Contact, ContactRow, DragRow};
+pub use imposed::Quantity;
+use imposed::Sources;
 use rand::{RngExt, SeedableRng};
 pub use state::StateError;
 use sweep::{After, Before, Fastest, Sweep};
@@ -217,6 +220,8 @@ pub struct TwoFluid<R, const D: usize> {
     gas_speed: f64,
     /// [`TOLERANCE`], or what [`TwoFluid::with_tolerance`] set.
     tolerance: f64,
+    /// What [`TwoFluid::set_sources`] set.
+    sources: Option<Sources<R, D>>,
 
     phi: Field<R, D>,
     theta: Field<R, D>,
@@ -312,6 +317,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             next_dt: (FIRST_STEP * time_scale, Limit::Growth),
             gas_speed: slip / grid.spacing[D - 1],
             tolerance: TOLERANCE,
+            sources: None,
             phi,
             theta,
             pressure: zeros(),
@@ -372,6 +378,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             inverse_spacing,
             most_diffusivity: R::of(DIFFUSION / (dt * inverse_square)),
             nearly_empty: R::of(NEARLY_EMPTY * self.setup.solids_fraction),
+            sources: self.sources.as_ref(),
         };
         let after = After {
             phi: self.phi_new.slabs(),

@@ -11,6 +11,7 @@
 
 use super::exchange::{self, Inertia};
 use super::granular;
+use super::imposed::Sources;
 use super::stress::{self, around, pair, pairs, shear_lines};
 use super::transport::{self, Line, Share};
 use super::{MOST_GAS_STEPS, Medium};
@@ -40,6 +41,8 @@ pub(super) struct Before<'a, R, const D: usize> {
     pub(super) most_diffusivity: R,
     /// Solids fraction from which on a cell is not nearly empty \[-\].
     pub(super) nearly_empty: R,
+    /// What verification adds.
+    pub(super) sources: Option<&'a Sources<R, D>>,
 }
 
 /// What a sweep leaves, of its own slabs.
@@ -152,6 +155,8 @@ pub(super) struct Sweep<R, const D: usize> {
     limit: Ring<R, D>,
     /// Where rows of other parts go.
     spare: Vec<Vec<R>>,
+    /// Velocities of a row, with what verification adds.
+    pushed: [Vec<R>; 2],
 }
 
 impl<R: Real, const D: usize> Sweep<R, D> {
@@ -188,7 +193,12 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             solids_pressure: ring(2),
             total: rings(2),
             limit: ring(1),
+<<<<<<< HEAD
             spare: vec![vec![R::ZERO; layout.most_elements()]; 3],
+=======
+            spare: vec![vec![R::ZERO; layout.row_with_halo_len()]; 3],
+            pushed: std::array::from_fn(|_| vec![R::ZERO; layout.cells[0]]),
+>>>>>>> verify
         }
     }
 
@@ -300,6 +310,9 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 [phi = self.phi.line(row), theta = self.theta.line(row)],
                 transport::advect_row(phi, theta, phi_old, theta_old, fs, ft, before.courant)
             );
+            if let Some(sources) = before.sources {
+                fill!([theta = self.theta.line(row)], sources.heat(theta, row, before.dt));
+            }
             after.phi.line(row, &mut self.spare[0]).copy_from_slice(self.phi.whole(row));
         }
     }
@@ -534,6 +547,11 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let below = row.near(axis, -1);
                 let spacing = before.inverse_spacing[axis];
                 let buoyancy = if axis + 1 == D { before.buoyancy } else { [R::ZERO; 2] };
+                let mut velocities = [self.sheared[axis].row(row), gas[axis].row(row)];
+                if let Some(sources) = before.sources {
+                    sources.push(&mut self.pushed, velocities, axis, row, before.dt);
+                    velocities = self.pushed.each_ref().map(Vec::as_slice);
+                }
                 let [us, ug, weights] = self.spare.first_chunk_mut().expect("three spare rows");
                 fill!(
                     before.layout,
@@ -548,7 +566,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                         ug,
                         total,
                         weights,
-                        [self.sheared[axis].row(row), gas[axis].row(row)],
+                        velocities,
                         [self.phi.row(below), self.phi.row(row)],
                         [self.drag.row(below), self.drag.row(row)],
                         [self.solids_pressure.row(below), self.solids_pressure.row(row)],
