@@ -56,8 +56,9 @@ impl<R: Real, const D: usize> Sources<R, D> {
         dt: R,
     ) {
         for phase in 0..2 {
-            pushed[phase].copy_from_slice(velocities[phase]);
-            add_row(&mut pushed[phase], self.velocities[phase][axis].row(row), dt);
+            let pushed = &mut pushed[phase][..velocities[phase].len()];
+            pushed.copy_from_slice(velocities[phase]);
+            add_row(pushed, self.velocities[phase][axis].row(row), dt);
         }
     }
 }

@@ -193,12 +193,8 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             solids_pressure: ring(2),
             total: rings(2),
             limit: ring(1),
-<<<<<<< HEAD
             spare: vec![vec![R::ZERO; layout.most_elements()]; 3],
-=======
-            spare: vec![vec![R::ZERO; layout.row_with_halo_len()]; 3],
-            pushed: std::array::from_fn(|_| vec![R::ZERO; layout.cells[0]]),
->>>>>>> verify
+            pushed: std::array::from_fn(|_| vec![R::ZERO; layout.most_elements()]),
         }
     }
 
@@ -311,7 +307,11 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 transport::advect_row(phi, theta, phi_old, theta_old, fs, ft, before.courant)
             );
             if let Some(sources) = before.sources {
-                fill!([theta = self.theta.line(row)], sources.heat(theta, row, before.dt));
+                fill!(
+                    before.layout,
+                    [theta = self.theta.line(row)],
+                    sources.heat(theta, row, before.dt)
+                );
             }
             after.phi.line(row, &mut self.spare[0]).copy_from_slice(self.phi.whole(row));
         }
