@@ -63,6 +63,8 @@ pub enum Command {
     Stability(Stability),
     /// Measure how fast this machine runs the kernels
     Bench(Bench),
+    /// Run cases that break solvers and print how each went
+    HardCases(HardCases),
 }
 
 /// `favre run`.
@@ -135,6 +137,17 @@ pub struct Bench {
     #[arg(long)]
     pub quick: bool,
     /// Print the times as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `favre hard-cases`.
+#[derive(Args, Debug)]
+pub struct HardCases {
+    /// Fewer cells and 20 u_t/g instead of 60
+    #[arg(long)]
+    pub quick: bool,
+    /// Print the table as JSON
     #[arg(long)]
     pub json: bool,
 }

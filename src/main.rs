@@ -14,6 +14,7 @@ use clap::Parser;
 use favre::bench;
 use favre::case::{Case, DEFAULT};
 use favre::checkpoint::Checkpoints;
+use favre::hard;
 use favre::output::Output;
 use favre::pipeline::{self, RunError, RunOptions};
 
@@ -46,6 +47,7 @@ fn main() -> ExitCode {
         Some(Command::Run(args)) => run(&args),
         Some(Command::Stability(args)) => stability(&args),
         Some(Command::Bench(args)) => bench(&args),
+        Some(Command::HardCases(args)) => hard_cases(&args),
         None => Err(Failure::misuse(cli::WELCOME)),
     };
     match result {
@@ -169,6 +171,27 @@ fn stability(args: &cli::Stability) -> Result<(), Failure> {
 fn bench(args: &cli::Bench) -> Result<(), Failure> {
     let report = bench::measure(args.quick).map_err(Failure::failed)?;
     if args.json { print_json(&report) } else { print(&report) }
+}
+
+fn hard_cases(args: &cli::HardCases) -> Result<(), Failure> {
+    // The table takes minutes: its rows are shown as they come.
+    if !args.json {
+        write(format!("{}\n", hard::HEADER))?;
+    }
+    let mut written = Ok(());
+    let table = hard::run(args.quick, |row| {
+        if !args.json && written.is_ok() {
+            written = write(format!("{row}\n"));
+        }
+    });
+    written?;
+    if args.json {
+        print_json(&table)?;
+    }
+    match table.failed() {
+        0 => Ok(()),
+        failed => Err(Failure::failed(format!("{failed} of {} cases fail", table.rows.len()))),
+    }
 }
 
 /// An error and its causes on one line.

@@ -97,10 +97,7 @@ pub enum SimulateError {
         time: f64,
     },
     /// A step failed.
-    #[error(
-        "the box of mean solids fraction {solids_fraction} failed; a finer or larger grid or \
-         another seed may do"
-    )]
+    #[error("the box of mean solids fraction {solids_fraction} failed")]
     Step {
         /// Mean solids fraction of the box.
         solids_fraction: f64,

@@ -20,6 +20,7 @@
 //! two signs.
 
 mod exchange;
+mod failure;
 mod granular;
 mod state;
 mod stress;
@@ -39,6 +40,7 @@ use crate::poisson::Poisson;
 use crate::real::Real;
 use crate::rows::Rows;
 use exchange::Inertia;
+pub use failure::{Place, StepError};
 use granular::{Closures, Contact, ContactRow, DragRow};
 use rand::{RngExt, SeedableRng};
 pub use state::StateError;
@@ -71,9 +73,10 @@ const DIFFUSION: f64 = 0.36;
 /// Growth of the time step from one step to the next.
 const GROWTH: f64 = 1.1;
 
-/// First time step, and the largest ever, in u_t/g.
+/// First time step, the largest ever, and the one below which a run would not end, in u_t/g.
 const FIRST_STEP: f64 = 1e-3;
 const LONGEST_STEP: f64 = 0.05;
+const SHORTEST_STEP: f64 = 1e-6;
 
 /// Remaining divergence of the total volume flux, times dt, that ends the pressure iteration.
 const TOLERANCE: f64 = 1e-3;
@@ -144,38 +147,6 @@ pub struct StepReport {
     pub iterations: usize,
     /// Volume that the pressure left unaccounted for: largest |∇·(φ u_s + (1-φ) u_g)| dt \[-\].
     pub volume_residual: f64,
-}
-
-/// A step that failed; the state is of no use any more.
-#[derive(Clone, Debug, thiserror::Error)]
-pub enum StepError {
-    /// The pressure iteration did not converge.
-    #[error(
-        "the gas pressure did not converge at t = {time:.6} s: after {iterations} iterations \
-         {residual:.1e} of a cell's volume is unaccounted for (dt = {dt:.2e} s, limited by {limit:?})"
-    )]
-    Pressure {
-        /// Simulated time \[s\].
-        time: f64,
-        /// Iterations done.
-        iterations: usize,
-        /// Remaining divergence times dt.
-        residual: f64,
-        /// Time step \[s\].
-        dt: f64,
-        /// What limited the step.
-        limit: Limit,
-    },
-    /// A field is no longer finite.
-    #[error("the fields are not finite at t = {time:.6} s (dt = {dt:.2e} s, limited by {limit:?})")]
-    NotFinite {
-        /// Simulated time \[s\].
-        time: f64,
-        /// Time step \[s\].
-        dt: f64,
-        /// What limited the step.
-        limit: Limit,
-    },
 }
 
 /// Means over the box at one instant.
@@ -339,7 +310,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
     /// equal steps end there.
     ///
     /// # Errors
-    /// When the pressure does not converge or a field is no longer finite.
+    /// When the pressure does not converge, a field is no longer finite, or the time step collapses.
     ///
     /// # Panics
     /// When `until` is not in the future.
@@ -467,27 +438,23 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             iterations: solve.iterations,
             volume_residual: solve.residual * dt,
         };
-        let StepReport { iterations, volume_residual: residual, .. } = report;
-        let time = self.time;
         let sound = sound.f64();
-        if !(residual.is_finite() && sound.is_finite()) {
-            return Err(StepError::NotFinite { time, dt, limit });
+        if !(report.volume_residual.is_finite() && sound.is_finite() && self.is_finite()) {
+            return Err(self.not_finite(&report));
         }
         // Round-off stops single precision above the tolerance; that much is no failure.
-        if residual > 100.0 * TOLERANCE {
-            return Err(StepError::Pressure { time, iterations, residual, dt, limit });
+        if report.volume_residual > 100.0 * TOLERANCE {
+            return Err(self.not_converged(&report));
         }
         self.next_dt = self.choose_step(longest, sound, inverse_square);
+        if self.next_dt.0 < SHORTEST_STEP * self.time_scale() {
+            return Err(self.collapsed());
+        }
         Ok(report)
     }
 
     /// The longest next time step after one that might have been `longest`, and what limits it.
     fn choose_step(&self, longest: f64, sound_squared: f64, inverse_square: f64) -> (f64, Limit) {
-        let scales = crate::laws::scales::Scales::new(
-            &self.setup.powder,
-            &self.setup.gas,
-            self.setup.gravity,
-        );
         let tiny = 1e-300;
         [
             (COURANT / (self.largest_courant(&self.solids) + tiny), Limit::Solids),
@@ -496,13 +463,19 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
                 Limit::Gas,
             ),
             (SOUND_COURANT / (sound_squared * inverse_square + tiny).sqrt(), Limit::Sound),
-            (LONGEST_STEP * scales.time(), Limit::Longest),
+            (LONGEST_STEP * self.time_scale(), Limit::Longest),
         ]
         .into_iter()
         .fold(
             (GROWTH * longest, Limit::Growth),
             |best, next| if next.0 < best.0 { next } else { best },
         )
+    }
+
+    /// u_t/g \[s\].
+    fn time_scale(&self) -> f64 {
+        let Setup { powder, gas, gravity, .. } = &self.setup;
+        crate::laws::scales::Scales::new(powder, gas, *gravity).time()
     }
 
     /// Largest Σ |u_a|/h_a of a cell \[1/s\].

@@ -38,6 +38,7 @@ const ALLOWED: &[(&str, &str)] = &[
         "case checkpoint figure fit forms laws model output progress series simulate stability statistics summary table",
     ),
     ("bench", "case grid real rows simulate"),
+    ("hard", "case grid laws real two_fluid"),
 ];
 
 /// Outside dependencies that only some modules may name.
