@@ -133,10 +133,19 @@ fn minutes(text: &str) -> Result<f64, String> {
 /// `favre bench`.
 #[derive(Args, Debug)]
 pub struct Bench {
-    /// Fewer rounds
+    /// One size and fewer rounds; with --error a small box and a short time, only to see it work
     #[arg(long)]
     pub quick: bool,
-    /// Print the times as JSON
+    /// Speed against error instead: grids, steps, precisions, tolerances, physics; ten minutes
+    #[arg(long)]
+    pub error: bool,
+    /// Folder for the table and the figures of --error [default: favre-out/bench-error]
+    #[arg(long, value_name = "DIR", requires = "error")]
+    pub out: Option<PathBuf>,
+    /// Replace earlier results of --error, once the new ones are complete
+    #[arg(long, requires = "error")]
+    pub force: bool,
+    /// Print the results as JSON
     #[arg(long)]
     pub json: bool,
 }

@@ -169,7 +169,17 @@ fn stability(args: &cli::Stability) -> Result<(), Failure> {
 }
 
 fn bench(args: &cli::Bench) -> Result<(), Failure> {
-    let report = bench::measure(args.quick).map_err(Failure::failed)?;
+    if !args.error {
+        let report = bench::measure(args.quick).map_err(Failure::failed)?;
+        return if args.json { print_json(&report) } else { print(&report) };
+    }
+    let dir = args.out.as_deref().unwrap_or(Path::new("favre-out/bench-error"));
+    let output = Output::create(dir, args.force).map_err(Failure::misuse)?;
+    say(bench::error::HEADER);
+    let report = pipeline::bench_error(args.quick, &output, |point| say(point));
+    let report = report.map_err(Failure::failed)?;
+    let dir = output.commit().map_err(Failure::failed)?;
+    say(format_args!("favre: table and figures are in {}", dir.display()));
     if args.json { print_json(&report) } else { print(&report) }
 }
 

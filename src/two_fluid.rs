@@ -19,6 +19,7 @@
 //! Momentum of the mixture is conserved to round-off, because every exchange is one number with
 //! two signs.
 
+mod clock;
 mod exchange;
 mod failure;
 mod granular;
@@ -39,6 +40,8 @@ use crate::laws::scales::{Gas, Powder, homogeneous_slip};
 use crate::poisson::Poisson;
 use crate::real::Real;
 use crate::rows::Rows;
+pub use clock::STAGES;
+use clock::{Clock, Stage};
 use exchange::Inertia;
 pub use failure::{Place, StepError};
 use granular::{Closures, Contact, ContactRow, DragRow};
@@ -178,6 +181,8 @@ pub struct TwoFluid<R, const D: usize> {
     time: f64,
     steps: u64,
     next_dt: (f64, Limit),
+    /// What the parts of the steps cost, if [`TwoFluid::with_clock`] asked.
+    clock: Option<Clock>,
     /// [`TOLERANCE`], or what [`TwoFluid::with_tolerance`] set.
     tolerance: f64,
 
@@ -274,6 +279,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             time: 0.0,
             steps: 0,
             next_dt: (FIRST_STEP * time_scale, Limit::Growth),
+            clock: None,
             tolerance: TOLERANCE,
             phi,
             theta,
@@ -306,6 +312,18 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         self
     }
 
+    /// With a clock, for [`TwoFluid::stage_seconds`].
+    #[must_use]
+    pub fn with_clock(mut self) -> Self {
+        self.clock = Some(Clock::new());
+        self
+    }
+
+    /// Seconds that each of [`STAGES`] took in all steps since [`TwoFluid::with_clock`].
+    pub fn stage_seconds(&self) -> Option<[f64; STAGES.len()]> {
+        self.clock.as_ref().map(|clock| clock.seconds)
+    }
+
     /// Advances by one time step towards the time `until` \[s\], chosen by stability and such that
     /// equal steps end there.
     ///
@@ -316,6 +334,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
     /// When `until` is not in the future.
     pub fn step(&mut self, until: f64) -> Result<StepReport, StepError> {
         assert!(until > self.time, "a step from {} s to {until} s", self.time);
+        Clock::start(&mut self.clock);
         let rows = self.rows;
         let (longest, limit) = self.next_dt;
         let remaining = until - self.time;
@@ -332,6 +351,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
 
         let transported = [&mut self.phi_new, &mut self.theta_new];
         transport::advect(&rows, transported, &self.phi, &self.theta, &self.fluxes, courant);
+
+        Clock::lap(&mut self.clock, Stage::Transport);
 
         let fractions = [&self.phi, &self.phi_new];
         for axis in 0..D {
@@ -354,10 +375,12 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             std::mem::swap(&mut self.gas, &mut self.gas_new);
         }
         std::mem::swap(&mut self.phi, &mut self.phi_new);
+        Clock::lap(&mut self.clock, Stage::Momentum);
 
         let cap = R::of(DIFFUSION / (dt * inverse_square));
         let velocities = [&self.solids_new, &self.gas];
         self.closures.set(&rows, &self.medium, &self.phi, &self.theta_new, velocities, cap);
+        Clock::lap(&mut self.clock, Stage::Closures);
 
         let Closures { viscosity, bulk_viscosity, .. } = &self.closures;
         self.stress.set(&rows, &self.solids_new, viscosity, bulk_viscosity, inverse_spacing);
@@ -369,6 +392,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let velocities = [&self.solids_new, &self.solids];
         let [before, after] = velocities;
         self.stress.set_shear_heating(&rows, before, after, &self.phi, inverse_spacing);
+        Clock::lap(&mut self.clock, Stage::Stress);
 
         let sound = granular::balance(
             &rows,
@@ -382,6 +406,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             inverse_spacing,
             R::of(dt),
         );
+
+        Clock::lap(&mut self.clock, Stage::Energy);
 
         let inertia = Inertia::new(&self.medium, R::of(dt));
         let drag = &self.closures.drag_per_fraction;
@@ -409,6 +435,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             );
         }
 
+        Clock::lap(&mut self.clock, Stage::Drag);
+
         exchange::convergence(&rows, &mut self.right, &self.fluxes.solids, inverse_spacing);
         self.poisson.set_coefficient(&self.fluxes.gas);
         // The increment starts from that of the step before, which saves a third of the iterations.
@@ -418,6 +446,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             self.tolerance / dt,
             MOST_ITERATIONS,
         );
+        Clock::lap(&mut self.clock, Stage::Pressure);
         for axis in 0..D {
             let velocities = [&mut self.solids[axis], &mut self.gas[axis]];
             let (increment, spacing) = (&self.increment, inverse_spacing[axis]);
@@ -450,6 +479,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         if self.next_dt.0 < SHORTEST_STEP * self.time_scale() {
             return Err(self.collapsed());
         }
+        Clock::lap(&mut self.clock, Stage::Correction);
         Ok(report)
     }
 
