@@ -329,7 +329,7 @@ def main():
         print(f"  at the end: mean of phi {mean:.6f}, variance of phi {variance:.4f}, slip seen by "
               f"particles {seen:.3f} u_t", flush=True)
 
-    report = json.loads(subprocess.run([args.favre, "bench", "--json"], check=True,
+    report = json.loads(subprocess.run([args.favre, "bench", "--quick", "--json"], check=True,
                                        stdout=subprocess.PIPE).stdout)
     print("favre, the same box, without statistics:")
     for found in report["measurements"]:

@@ -12,7 +12,8 @@ use crate::real::Real;
 use crate::rows::{Simd, on_threads, simd_level};
 use crate::simulate::{SimulateError, setup};
 use crate::statistics::{Bins, MergeError, Sampler};
-use crate::two_fluid::{STAGES, StepError, TwoFluid};
+use crate::two_fluid::{STAGES, StepError, StepReport, TwoFluid};
+use cpu_time::ProcessTime;
 use std::fmt;
 use std::time::Instant;
 
@@ -32,21 +33,21 @@ pub struct Measurement {
     pub statistics: bool,
     /// Time steps timed.
     pub steps: u64,
-    /// Time per cell and step on the wall clock, median of the rounds \[µs\].
+    /// Core time per cell and step, median of the rounds \[µs\]: time in which the machine does
+    /// something else does not count.
     pub per_cell_step: f64,
     /// The fastest and the slowest round \[µs\].
     pub range: [f64; 2],
+    /// Time per cell and step on the wall clock, median of the rounds \[µs\].
+    pub wall: f64,
     /// Mean length of a step \[s\].
     pub step: f64,
     /// Core seconds per simulated second: the median round's.
     pub per_simulated_second: f64,
     /// Pressure iterations and gas sub-steps per step.
     pub per_step: [f64; 2],
-    /// Time per cell and step of each of [`STAGES`] \[µs\].
+    /// Core time per cell and step of each of [`STAGES`] \[µs\], by their shares of the clock.
     pub stages: [f64; STAGES.len()],
-    /// Memory that the simulator added to the process \[bytes per cell\]; none where the system
-    /// does not tell.
-    pub bytes_per_cell: Option<f64>,
     /// Variance of the solids fraction, mean over the rounds' ends: how clustered it is.
     pub solids_fraction_variance: f64,
     /// Slip seen by the particles, mean over the rounds' ends \[u_t\].
@@ -62,48 +63,71 @@ pub struct Report {
     pub stages: [&'static str; STAGES.len()],
     /// The measurements.
     pub measurements: Vec<Measurement>,
+    /// Memory of the simulator.
+    pub memory: Vec<Memory>,
+}
+
+/// Memory that a simulator adds to the process.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Memory {
+    /// Precision of the simulator.
+    pub precision: Precision,
+    /// Cells along each axis.
+    pub cells: Vec<usize>,
+    /// Bytes per cell; none where the system does not tell.
+    pub bytes_per_cell: Option<f64>,
 }
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let grid = |cells: &[usize]| {
+            let cells: Vec<String> = cells.iter().map(ToString::to_string).collect();
+            cells.join("x")
+        };
+        writeln!(f, "{}, default case, clustered state", self.simd)?;
+        writeln!(
+            f,
+            "                             core µs per cell and step   wall     core s per   \
+             iterations of pressure,"
+        )?;
         write!(
             f,
-            "{}, default case, clustered state; times on the wall clock\n\n\
-             \x20                                µs per cell and step          core s per   pressure  \
-             gas  bytes/\n\
-             precision cells      threads     median (range)               simulated s iterations \
-             steps  cell",
-            self.simd
+            "precision cells      threads median (range)              µs       simulated s  \
+             sub-steps of gas"
         )?;
         for m in &self.measurements {
-            let cells: Vec<String> = m.cells.iter().map(ToString::to_string).collect();
-            let memory = m.bytes_per_cell.map_or("-".into(), |bytes| format!("{bytes:.0}"));
             write!(
                 f,
-                "\n{:<9} {:<11} {:>6}     {:.4} ({:.4} to {:.4})        {:>9.2}  {:>9.1} {:>5.1} \
-                 {memory:>6}{}",
+                "\n{:<9} {:<11} {:>5} {:.4} ({:.4} to {:.4})   {:>8.4} {:>10.2} {:>10.1} {:>6.1}{}",
                 name(m.precision),
-                cells.join("x"),
+                grid(&m.cells),
                 m.threads,
                 m.per_cell_step,
                 m.range[0],
                 m.range[1],
+                m.wall,
                 m.per_simulated_second,
                 m.per_step[0],
                 m.per_step[1],
                 if m.statistics { "  with statistics" } else { "" },
             )?;
         }
-        write!(f, "\n\nns per cell and step of each stage:\nprecision cells      threads ")?;
+        write!(f, "\n\ncore ns per cell and step of each stage:\nprecision cells      threads")?;
         for stage in self.stages {
             write!(f, " {stage:>10}")?;
         }
         for m in self.measurements.iter().filter(|m| !m.statistics) {
-            let cells: Vec<String> = m.cells.iter().map(ToString::to_string).collect();
-            write!(f, "\n{:<9} {:<11} {:>6} ", name(m.precision), cells.join("x"), m.threads)?;
+            write!(f, "\n{:<9} {:<11} {:>5}", name(m.precision), grid(&m.cells), m.threads)?;
             for stage in m.stages {
                 write!(f, " {:>10.2}", 1e3 * stage)?;
             }
+        }
+        writeln!(f, "\n\nmemory:")?;
+        for (n, memory) in self.memory.iter().enumerate() {
+            let bytes = memory.bytes_per_cell.map_or("?".into(), |bytes| format!("{bytes:.0}"));
+            let comma = if n > 0 { ", " } else { "" };
+            let cells = grid(&memory.cells);
+            write!(f, "{comma}{} {cells}: {bytes} bytes per cell", name(memory.precision))?;
         }
         Ok(())
     }
@@ -152,7 +176,7 @@ struct Effort {
     warm: [f64; 2],
     /// Rounds.
     rounds: usize,
-    /// A round \[seconds on the clock, about\].
+    /// A round \[seconds, about\].
     round: f64,
 }
 
@@ -170,6 +194,7 @@ pub fn measure(quick: bool) -> Result<Report, BenchError> {
         false => Effort { warm: [80.0, 25.0], rounds: 9, round: 1.0 },
     };
     let time = case.scales().time();
+    let memory = if quick { memory::<2>(&case, 128)? } else { memory::<3>(&case, 64)? };
     let flat = developed::<2>(&case, 1.0, effort.warm[0] * time)?;
     let mut measurements = Vec::new();
     for statistics in [false, true] {
@@ -193,7 +218,45 @@ pub fn measure(quick: bool) -> Result<Report, BenchError> {
         Simd::Avx2 => "AVX2",
         Simd::Avx512 => "AVX-512",
     };
-    Ok(Report { simd, stages: STAGES, measurements })
+    Ok(Report { simd, stages: STAGES, measurements, memory })
+}
+
+/// Memory in use of a box of `edge` cells along each axis, in either precision.
+fn memory<const D: usize>(case: &Case, edge: usize) -> Result<Vec<Memory>, BenchError> {
+    // Both are held until both are measured: memory that is used anew would not be seen.
+    let (before, cells) = (resident(), vec![edge; D]);
+    let double = stepped::<f64, D>(case, edge)?;
+    let between = resident();
+    let single = stepped::<f32, D>(case, edge)?;
+    let after = resident();
+    let bytes = |before: Option<usize>, after: Option<usize>| {
+        let bytes = after?.checked_sub(before?)?;
+        Some(bytes as f64 / double.grid().len() as f64)
+    };
+    let found = vec![
+        Memory {
+            precision: Precision::Double,
+            cells: cells.clone(),
+            bytes_per_cell: bytes(before, between),
+        },
+        Memory { precision: Precision::Single, cells, bytes_per_cell: bytes(between, after) },
+    ];
+    drop(single);
+    Ok(found)
+}
+
+/// A box that has used all its memory.
+fn stepped<R: Real, const D: usize>(
+    case: &Case,
+    edge: usize,
+) -> Result<TwoFluid<R, D>, BenchError> {
+    let cell = case.domain.size[0] / case.domain.cells[0] as f64;
+    let grid = Grid::new([cell * edge as f64; D], [edge; D]);
+    let mut flow = TwoFluid::new(grid, setup(case, SOLIDS_FRACTION, false));
+    for _ in 0..2 {
+        flow.step(f64::INFINITY)?;
+    }
+    Ok(flow)
 }
 
 /// The case's box after `time` \[s\], or `share` of its edges in each of `D` dimensions.
@@ -236,7 +299,6 @@ fn rounds<R: Real, const D: usize>(
     statistics: bool,
     effort: Effort,
 ) -> Result<Measurement, BenchError> {
-    let before = resident();
     let mut flow = from.tiled::<R>(times, threads > 1).with_clock();
     let grid = flow.grid();
     // The first steps fill caches and say how many make a round.
@@ -245,18 +307,18 @@ fn rounds<R: Real, const D: usize>(
         flow.step(f64::INFINITY)?;
     }
     let steps = (effort.round / (begin.elapsed().as_secs_f64() / 5.0)).ceil().max(5.0) as u64;
-    let memory = before.zip(resident()).map(|(before, after)| after.saturating_sub(before));
 
     let law = case.physics.drag.law(&case.gas, &case.powder);
     let mut watch = match statistics {
         true => Some(Watch::new(case, grid, law, flow.time())?),
         false => None,
     };
-    let (mut times, mut iterations, mut gas_steps) = (Vec::new(), 0, 0);
+    let (mut times, mut walls) = (Vec::new(), Vec::new());
+    let (mut iterations, mut gas_steps) = (0, 0);
     let (mut variance, mut particle_slip) = (0.0, 0.0);
     let (stages, started) = (flow.stage_seconds().unwrap_or_default(), flow.time());
     for _ in 0..effort.rounds {
-        let begin = Instant::now();
+        let (begin, core) = (Instant::now(), ProcessTime::now());
         for _ in 0..steps {
             let report = match &mut watch {
                 Some(watch) => watch.step(&mut flow)?,
@@ -265,12 +327,16 @@ fn rounds<R: Real, const D: usize>(
             iterations += report.iterations;
             gas_steps += report.gas_steps;
         }
-        times.push(begin.elapsed().as_secs_f64() / steps as f64);
+        times.push(core.elapsed().as_secs_f64() / steps as f64);
+        walls.push(begin.elapsed().as_secs_f64() / steps as f64);
         let means = flow.means();
         variance += means.solids_fraction_variance;
         particle_slip += means.particle_slip;
     }
+    // The clock sees what else the machine does; the cores' time does not.
+    let share = times.iter().sum::<f64>() / walls.iter().sum::<f64>();
     times.sort_by(f64::total_cmp);
+    walls.sort_by(f64::total_cmp);
     let all = steps as f64 * effort.rounds as f64;
     let per_cell = |seconds: f64| 1e6 * seconds / grid.len() as f64;
     let step = (flow.time() - started) / all;
@@ -284,11 +350,11 @@ fn rounds<R: Real, const D: usize>(
         steps: steps * effort.rounds as u64,
         per_cell_step: per_cell(median),
         range: [per_cell(times[0]), per_cell(times[times.len() - 1])],
+        wall: per_cell(walls[walls.len() / 2]),
         step,
-        per_simulated_second: median * threads as f64 / step,
+        per_simulated_second: median / step,
         per_step: [iterations as f64 / all, gas_steps as f64 / all],
-        stages: std::array::from_fn(|n| per_cell((after[n] - stages[n]) / all)),
-        bytes_per_cell: memory.map(|bytes| bytes as f64 / grid.len() as f64),
+        stages: std::array::from_fn(|n| per_cell(share * (after[n] - stages[n]) / all)),
         solids_fraction_variance: variance / effort.rounds as f64,
         particle_slip: particle_slip / effort.rounds as f64 / case.scales().terminal_velocity,
     })
@@ -316,10 +382,7 @@ impl<const D: usize> Watch<D> {
         Ok(Self { sampler, fine: FineFields::zeros(grid), interval, next: now + interval })
     }
 
-    fn step<R: Real>(
-        &mut self,
-        flow: &mut TwoFluid<R, D>,
-    ) -> Result<crate::two_fluid::StepReport, StepError> {
+    fn step<R: Real>(&mut self, flow: &mut TwoFluid<R, D>) -> Result<StepReport, StepError> {
         let report = flow.step(self.next)?;
         if flow.time() >= self.next {
             flow.fields(&mut self.fine);

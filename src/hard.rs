@@ -217,6 +217,12 @@ pub fn cases(quick: bool) -> Vec<HardCase> {
         },
         HardCase { precision: Precision::Single, ..HardCase::fraction("f32, φ 0.55", edge, 0.55) },
         HardCase { precision: Precision::Single, start: Start::Slab, ..base("f32, slab", edge) },
+        HardCase {
+            precision: Precision::Single,
+            start: Start::Noise(0.5),
+            seed: 1,
+            ..HardCase::diameter("f32, d 300 µm, 50 % start", edge, 300e-6)
+        },
         solid("3-D", 0.15),
         HardCase { start: Start::Slab, ..solid("3-D, slab", 0.15) },
         HardCase { precision: Precision::Single, ..solid("3-D, f32, φ 0.45", 0.45) },

@@ -47,6 +47,7 @@ const RESERVED: &[(&str, &str)] = &[
     ("unsafe", "rows"),
     ("kuva", "figure"),
     ("indicatif", "progress"),
+    ("cpu_time", "bench"),
 ];
 
 fn source() -> PathBuf {

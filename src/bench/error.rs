@@ -24,6 +24,8 @@ use std::fmt;
 use std::io::Write;
 use std::time::Instant;
 
+use cpu_time::ProcessTime;
+
 /// Names of the quantities.
 pub const QUANTITIES: [&str; 5] = ["slip/u_t", "variance of φ", "H(0.05)", "H(0.15)", "H(0.25)"];
 
@@ -358,15 +360,15 @@ fn simulate<R: Real>(case: &Case, variant: &Variant, longest: f64) -> Result<Run
     spent.push(so_far);
     for sample in 1..=(case.run.duration / interval).round() as u64 {
         let until = sample as f64 * interval;
+        let begin = ProcessTime::now();
         while flow.time() < until {
             let next = until.min(flow.time() + longest);
             // The last step before a sample is not to be a sliver.
             let next = if until - next < 1e-9 * interval { until } else { next };
-            let begin = Instant::now();
             flow.step(next)?;
-            so_far.seconds += begin.elapsed().as_secs_f64();
             so_far.steps += 1;
         }
+        so_far.seconds += begin.elapsed().as_secs_f64();
         signals.push(until, &flow.means());
         spent.push(so_far);
         flow.fields(&mut fine);
@@ -536,18 +538,16 @@ impl fmt::Display for Report {
         }
         if let Some(limit) = self.extrapolation {
             let slip = base.found[0];
-            let total = slip.value - limit.slip;
+            let error = slip.standard_error.hypot(limit.standard_error);
             writeln!(
                 f,
-                "slip on infinitely fine cells: {:.3} ± {:.3} u_t ({} order {:.1})\n\
-                 on the base grid it differs by {total:+.3} u_t from that: {:+.3} by the grid, to \
-                 ± {:.3} by sampling, in standard errors",
+                "slip on infinitely fine cells: {:.3} ± {:.3} u_t ({} order {:.1}): the base grid's \
+                 is {:+.3} off by its cells, with a standard error of {error:.3} by sampling",
                 limit.slip,
                 limit.standard_error,
                 if limit.observed { "observed" } else { "assumed" },
                 limit.order,
-                total,
-                slip.standard_error.hypot(limit.standard_error),
+                slip.value - limit.slip,
             )?;
         }
         write!(

@@ -149,7 +149,7 @@ simd! {
         let mut chunks = row.chunks_exact(LANES);
         for chunk in &mut chunks {
             for lane in 0..LANES {
-                sums[lane] = sums[lane] + R::ZERO * chunk[lane];
+                sums[lane] += R::ZERO * chunk[lane];
             }
         }
         let rest = chunks.remainder().iter().fold(R::ZERO, |sum, &q| sum + R::ZERO * q);
