@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """OpenFOAM's twoPhaseEulerFoam and favre on the same box, one after the other on one core.
 
-    benches/openfoam.py                 0.3 s of clustered flow; half an hour or less
+    benches/openfoam.py                 0.3 s of clustered flow; about two minutes
     benches/openfoam.py --help          other lengths, settings and sizes
 
 Needs Python 3.9, OpenFOAM v1912 as Debian 12 ships it (`apt-get install openfoam`; --install does

@@ -302,11 +302,12 @@ fn rounds<R: Real, const D: usize>(
     let mut flow = from.tiled::<R>(times, threads > 1).with_clock();
     let grid = flow.grid();
     // The first steps fill caches and say how many make a round.
-    let begin = Instant::now();
+    let begin = ProcessTime::now();
     for _ in 0..5 {
         flow.step(f64::INFINITY)?;
     }
-    let steps = (effort.round / (begin.elapsed().as_secs_f64() / 5.0)).ceil().max(5.0) as u64;
+    let per_step = begin.elapsed().as_secs_f64() / (5 * threads) as f64;
+    let steps = (effort.round / per_step).ceil().max(5.0) as u64;
 
     let law = case.physics.drag.law(&case.gas, &case.powder);
     let mut watch = match statistics {

@@ -105,7 +105,7 @@ fn remedy(limit: Limit) -> &'static str {
     match limit {
         Limit::Gas => "a wider or taller box keeps gas from jetting through channels",
         Limit::Sound => {
-            "coarser cells, a lower box.solids_fraction or another physics.friction may do"
+            "double precision (run.precision), coarser cells or a smaller run.perturbation may do"
         }
         Limit::Growth | Limit::Solids | Limit::Longest => {
             "coarser cells or a smaller run.perturbation may do"
