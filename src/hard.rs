@@ -517,7 +517,7 @@ mod tests {
     #[test]
     fn every_kind_of_failure_is_named() {
         let case = HardCase::base("base", 8);
-        let good = run_case(&case, 1.0);
+        let good = run_case(&case, 20.0);
         assert_eq!(good.failures, [""; 0]);
         assert_eq!(good.restarts, [RESTARTS, 0]);
         let bad = Row {
