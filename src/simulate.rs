@@ -59,8 +59,9 @@ pub struct Cost {
     pub pressure_iterations: u64,
     /// Gas sub-steps in all.
     pub gas_steps: u64,
-    /// Steps limited by growth, solids advection, gas advection, sound, the longest step allowed.
-    pub limited_by: [u64; 5],
+    /// Steps limited by growth, solids advection, gas advection, sound, the longest step allowed,
+    /// viscosity and conductivity.
+    pub limited_by: [u64; 6],
     /// Largest volume fraction that a step left unaccounted for in a cell.
     pub volume_residual: f64,
     /// Change of the solids mass over the run, relative.
@@ -294,6 +295,7 @@ fn place(limit: Limit) -> usize {
         Limit::Gas => 2,
         Limit::Sound => 3,
         Limit::Longest => 4,
+        Limit::Diffusion => 5,
     }
 }
 

@@ -47,8 +47,7 @@ impl<R: Real> RadialDistribution<R> for Princeton<R> {
     #[inline(always)]
     fn contact(&self, solids_fraction: R) -> R {
         // The floor keeps the logarithm finite in empty cells.
-        let crowding =
-            (solids_fraction * self.max_packing_inverse).max(R::of(1e-30)).power(R::of(1.0 / 3.0));
+        let crowding = (solids_fraction * self.max_packing_inverse).max(R::of(1e-30)).cbrt();
         R::ONE / (R::ONE - crowding).max(R::of(CLOSEST))
     }
 
@@ -267,7 +266,7 @@ impl<R: Real> KineticTheory<R> {
         let c = self.slip_production(g0, slip * slip);
         // With s = √T convex and growing: Newton's method from above, where b s³ = c, falls
         // monotonically, by a quarter a step until it is near.
-        let mut s = (c / b).power(R::of(1.0 / 3.0));
+        let mut s = (c / b).cbrt();
         for _ in 0..60 {
             let s2 = s * s;
             s -= ((a * s + b) * s2 * s - c) / ((R::of(4.0) * a * s + R::of(3.0) * b) * s2);
@@ -295,11 +294,11 @@ pub fn balance_temperature<R: Real>(
     let rate = R::of(1.5) / dt;
     let cubic = rate + damping;
     let linear = (rate * before + heating).max(R::ZERO);
-    // (x + y)³ ≥ x² (x + y) + y³ makes x + y an upper bound of the root; the floor keeps the
-    // logarithm finite.
-    let y = (slip / cubic).max(R::of(1e-36)).power(R::of(1.0 / 3.0));
-    let mut s = (linear / cubic).sqrt() + y;
-    for _ in 0..5 {
+    // Without collisions s³ = x² s + y³, whose root is at most 1.055 (x³ + y³)^(1/3); collisions
+    // make it smaller. The floor keeps the root finite.
+    let x2 = linear / cubic;
+    let mut s = R::of(1.055) * (x2 * x2.sqrt() + slip / cubic).max(R::of(1e-36)).cbrt();
+    for _ in 0..4 {
         let s2 = s * s;
         let value = (collisional * s + cubic) * s2 * s - linear * s - slip;
         let slope = (R::of(4.0) * collisional * s + R::of(3.0) * cubic) * s2 - linear;

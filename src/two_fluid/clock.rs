@@ -5,21 +5,14 @@ use std::time::Instant;
 /// The parts of a step, in its order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stage {
-    Transport,
-    Momentum,
-    Closures,
-    Stress,
-    Energy,
-    Drag,
+    Sweep,
     Pressure,
     Correction,
 }
 
-/// Names of the parts of a step, in its order: fluxes with φ and T; momentum of both phases; drag
-/// coefficient and kinetic-theory closures; viscous stress with its heat; granular energy; drag and
-/// forces on the faces; the pressure equation; the correction by it and the choice of the next step.
-pub const STAGES: [&str; 8] =
-    ["transport", "momentum", "closures", "stress", "energy", "drag", "pressure", "correction"];
+/// Names of the parts of a step, in its order: the sweep from fluxes to forces; the pressure equation;
+/// the correction by it and the choice of the next step.
+pub const STAGES: [&str; 3] = ["sweep", "pressure", "correction"];
 
 /// A stop-watch that is passed from one part of a step to the next.
 pub(super) struct Clock {

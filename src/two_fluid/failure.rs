@@ -1,7 +1,7 @@
 //! Why a step failed, and where: the cell to look at and what to change.
 
 use super::{Limit, StepReport, TwoFluid};
-use crate::field::{Faces, Field};
+use crate::field::{Faces, Field, Layout, Row};
 use crate::grid::Grid;
 use crate::real::Real;
 use crate::rows::simd;
@@ -32,6 +32,7 @@ impl fmt::Display for Limit {
             Limit::Gas => "gas advection",
             Limit::Sound => "granular sound",
             Limit::Longest => "the longest step",
+            Limit::Diffusion => "viscosity and conductivity",
         })
     }
 }
@@ -91,7 +92,8 @@ pub enum StepError {
         dt: f64,
         /// What limited the step.
         limit: Limit,
-        /// Speed there \[m/s\], or granular temperature \[m²/s²\] where sound limits.
+        /// Speed there \[m/s\], or granular temperature \[m²/s²\] where sound or diffusion
+        /// limits.
         value: f64,
         /// Unit of the value.
         unit: &'static str,
@@ -104,7 +106,7 @@ pub enum StepError {
 fn remedy(limit: Limit) -> &'static str {
     match limit {
         Limit::Gas => "a wider or taller box keeps gas from jetting through channels",
-        Limit::Sound => {
+        Limit::Sound | Limit::Diffusion => {
             "double precision (run.precision), coarser cells or a smaller run.perturbation may do"
         }
         Limit::Growth | Limit::Solids | Limit::Longest => {
@@ -113,19 +115,18 @@ fn remedy(limit: Limit) -> &'static str {
     }
 }
 
-/// The cell in which `value` of a place in the memory of a field is largest, and that value; a value
-/// that is not a number is larger than any.
-fn largest<R: Real, const D: usize>(
+/// The cell in which `value`, of a row and a place in it, is largest, and that value; a value that is
+/// not a number is larger than any.
+fn largest<const D: usize>(
     grid: &Grid<D>,
-    field: &Field<R, D>,
-    value: impl Fn(usize) -> f64,
+    layout: &Layout<D>,
+    value: impl Fn(Row<D>, usize) -> f64,
 ) -> (f64, Place) {
-    let layout = field.layout;
-    let mut best = (f64::NEG_INFINITY, layout.row(0), 0);
+    let mut best = (f64::NEG_INFINITY, 0, 0);
     for row in 0..layout.rows() {
         for i in 0..grid.cells[0] {
-            let found = value(layout.row(row) + i);
-            if !(found <= best.0 || best.0.is_nan()) {
+            let found = value(layout.row(row), i);
+            if found > best.0 || found.is_nan() && !best.0.is_nan() {
                 best = (found, row, i);
             }
         }
@@ -170,7 +171,6 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let fields = [
             ("solids fraction", &self.phi),
             ("granular temperature", &self.theta),
-            ("solids pressure", &self.solids_pressure),
             ("solids velocity", &self.solids[D - 1]),
             ("gas velocity", &self.gas[D - 1]),
             ("gas pressure", &self.pressure),
@@ -183,22 +183,22 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             .into_iter()
             .filter(|(_, field)| broken(field) > 0)
             .min_by_key(|(_, field)| broken(field))
-            .unwrap_or(fields[5]);
-        let is_broken = |at: usize| f64::from(u8::from(!field.data[at].f64().is_finite()));
-        let (_, place) = largest(&self.grid, field, is_broken);
+            .unwrap_or(fields[4]);
+        let is_broken = |row, i: usize| f64::from(u8::from(!field.row(row)[i].f64().is_finite()));
+        let (_, place) = largest(&self.grid, &self.phi.layout, is_broken);
         let StepReport { dt, limit, .. } = *report;
         StepError::NotFinite { time: self.time, dt, limit, field: name, place }
     }
 
     /// Why a step of that `report` failed: the pressure left too much volume unaccounted for.
     pub(super) fn not_converged(&self, report: &StepReport) -> StepError {
-        let flux = |a: usize, at: usize| {
-            let s = self.phi.layout.stride[a];
-            let face = 0.5 * (self.phi.data[at - s].f64() + self.phi.data[at].f64());
-            face * self.solids[a].data[at].f64() + (1.0 - face) * self.gas[a].data[at].f64()
+        let flux = |a: usize, row: Row<D>, i: usize| {
+            let (below, here) = (self.phi.row(row.near(a, -1))[i], self.phi.row(row)[i]);
+            let face = 0.5 * (below.f64() + here.f64());
+            face * self.solids[a].row(row)[i].f64() + (1.0 - face) * self.gas[a].row(row)[i].f64()
         };
-        let (_, place) = largest(&self.grid, &self.phi, |at| {
-            let change = |a: usize| flux(a, at + self.phi.layout.stride[a]) - flux(a, at);
+        let (_, place) = largest(&self.grid, &self.phi.layout, |row, i| {
+            let change = |a: usize| flux(a, row.near(a, 1), i) - flux(a, row, i);
             (0..D).map(|a| change(a) / self.grid.spacing[a]).sum::<f64>().abs()
         });
         let StepReport { dt, limit, iterations, volume_residual: residual, .. } = *report;
@@ -208,20 +208,19 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
     /// Why there is no next step: it would be as short as [`TwoFluid::next_dt`] has it.
     pub(super) fn collapsed(&self) -> StepError {
         let (dt, limit) = self.next_dt;
-        let speed = |velocity: &Faces<R, D>, at: usize| {
-            let upper = |a: usize| velocity[a].data[at + self.phi.layout.stride[a]].f64().abs();
-            (0..D).map(|a| velocity[a].data[at].f64().abs().max(upper(a))).fold(0.0, f64::max)
+        let speed = |velocity: &Faces<R, D>, row: Row<D>, i: usize| {
+            let of = |a: usize, n| velocity[a].row(row.near(a, n))[i].f64().abs();
+            (0..D).map(|a| of(a, 0).max(of(a, 1))).fold(0.0, f64::max)
         };
+        let largest =
+            |value: &dyn Fn(Row<D>, usize) -> f64| largest(&self.grid, &self.phi.layout, value);
         let ((value, place), unit) = match limit {
-            Limit::Gas => {
-                (largest(&self.grid, &self.phi, |at| speed(&self.gas, at)), "m/s of the gas")
+            Limit::Gas => (largest(&|row, i| speed(&self.gas, row, i)), "m/s of the gas"),
+            Limit::Sound | Limit::Diffusion => {
+                (largest(&|row, i| self.theta.row(row)[i].f64()), "m²/s² of granular temperature")
             }
-            Limit::Sound => (
-                largest(&self.grid, &self.phi, |at| self.theta.data[at].f64()),
-                "m²/s² of granular temperature",
-            ),
             Limit::Growth | Limit::Solids | Limit::Longest => {
-                (largest(&self.grid, &self.phi, |at| speed(&self.solids, at)), "m/s of the solids")
+                (largest(&|row, i| speed(&self.solids, row, i)), "m/s of the solids")
             }
         };
         StepError::Collapsed { time: self.time, dt, limit, value, unit, place }
@@ -242,8 +241,8 @@ mod tests {
     #[test]
     fn a_poisoned_field_is_named_with_its_cell() {
         let mut flow = flow();
-        let at = flow.solids[0].layout.row(3 + 12 * 4) + 5;
-        flow.solids[0].data[at] = f64::NAN;
+        let row = flow.phi.layout.row(3 + 12 * 4);
+        flow.solids[0].row_mut(row)[5] = f64::NAN;
         let error = flow.step(f64::INFINITY).unwrap_err();
         let StepError::NotFinite { place, .. } = &error else { panic!("{error}") };
         // Only the pressure carries it further than to the neighbours.
@@ -255,9 +254,9 @@ mod tests {
     #[test]
     fn the_cell_that_swells_is_found() {
         let mut flow = flow();
-        let at = flow.gas[1].layout.row(7 + 12 * 2) + 6;
-        flow.gas[1].data[at] += 1.0;
-        flow.solids[1].data[at] += 1.0;
+        let row = flow.phi.layout.row(7 + 12 * 2);
+        flow.gas[1].row_mut(row)[6] += 1.0;
+        flow.solids[1].row_mut(row)[6] += 1.0;
         let report = StepReport {
             dt: 1e-4,
             limit: Limit::Gas,
@@ -275,8 +274,8 @@ mod tests {
     #[test]
     fn a_collapsed_step_names_the_jet() {
         let mut flow = flow();
-        let at = flow.gas[2].layout.row(1 + 12 * 8) + 2;
-        flow.gas[2].data[at] = -1e3;
+        let row = flow.phi.layout.row(1 + 12 * 8);
+        flow.gas[2].row_mut(row)[2] = -1e3;
         flow.next_dt = (1e-12, Limit::Gas);
         let error = flow.collapsed();
         let StepError::Collapsed { value, place, .. } = &error else { panic!("{error}") };

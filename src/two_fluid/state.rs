@@ -15,7 +15,8 @@ use crate::real::Real;
 use std::io::{self, Read, Write};
 
 /// The limits by their number in a state.
-const LIMITS: [Limit; 5] = [Limit::Growth, Limit::Solids, Limit::Gas, Limit::Sound, Limit::Longest];
+const LIMITS: [Limit; 6] =
+    [Limit::Growth, Limit::Solids, Limit::Gas, Limit::Sound, Limit::Longest, Limit::Diffusion];
 
 /// A state that cannot be taken.
 #[derive(Debug, thiserror::Error)]
@@ -89,11 +90,11 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let setup = Setup { perturbation: 0.0, parallel, ..self.setup };
         let mut tiled = TwoFluid::<S, D>::perturbed(grid, setup, |_| 0.0);
         (tiled.time, tiled.steps, tiled.next_dt) = (self.time, self.steps, self.next_dt);
-        let layout = self.phi.layout;
         let copy = |(to, from): (&mut Field<S, D>, &Field<R, D>)| {
             to.set(|index| {
-                let at = |a: usize| (index[a] % self.grid.cells[a]) * layout.stride[a];
-                S::of(from.data[layout.row(0) + (0..D).map(at).sum::<usize>()].f64())
+                let own: [usize; D] = std::array::from_fn(|a| index[a] % self.grid.cells[a]);
+                let row = (1..D).rev().fold(0, |row, a| row * self.grid.cells[a] + own[a]);
+                S::of(from.row(from.layout.row(row))[own[0]].f64())
             });
         };
         [&mut tiled.phi, &mut tiled.theta, &mut tiled.pressure, &mut tiled.increment]
@@ -102,6 +103,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             .for_each(copy);
         tiled.solids.iter_mut().zip(&self.solids).for_each(copy);
         tiled.gas.iter_mut().zip(&self.gas).for_each(copy);
+        tiled.gas_speed = tiled.largest_courant(&tiled.gas);
         tiled
     }
 
@@ -134,6 +136,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         for field in scalars.into_iter().chain(&mut self.solids).chain(&mut self.gas) {
             read_field(field, from)?;
         }
+        self.gas_speed = self.largest_courant(&self.gas);
         Ok(())
     }
 }
@@ -269,8 +272,8 @@ mod tests {
             assert!(matches!(refused, Err(StateError::Read(_))), "{len}: {refused:?}");
         }
         let mut unknown = kept;
-        unknown[2 + 16 + 24] = 5;
+        unknown[2 + 16 + 24] = 6;
         let refused = same.restore_state(&mut unknown.as_slice());
-        assert!(matches!(refused, Err(StateError::Limit(5))), "{refused:?}");
+        assert!(matches!(refused, Err(StateError::Limit(6))), "{refused:?}");
     }
 }
