@@ -66,6 +66,8 @@ pub enum Command {
     Bench(Bench),
     /// Check that the simulator solves its equations
     Verify(Verify),
+    /// Run cases that break solvers and print how each went
+    HardCases(HardCases),
 }
 
 /// `favre run`.
@@ -134,10 +136,30 @@ fn minutes(text: &str) -> Result<f64, String> {
 /// `favre bench`.
 #[derive(Args, Debug)]
 pub struct Bench {
-    /// Fewer rounds
+    /// One size and fewer rounds; with --error a small box and a short time, only to see it work
     #[arg(long)]
     pub quick: bool,
-    /// Print the times as JSON
+    /// Speed against error instead: grids, steps, precisions, tolerances, physics; ten minutes
+    #[arg(long)]
+    pub error: bool,
+    /// Folder for the table and the figures of --error [default: favre-out/bench-error]
+    #[arg(long, value_name = "DIR", requires = "error")]
+    pub out: Option<PathBuf>,
+    /// Replace earlier results of --error, once the new ones are complete
+    #[arg(long, requires = "error")]
+    pub force: bool,
+    /// Print the results as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `favre hard-cases`.
+#[derive(Args, Debug)]
+pub struct HardCases {
+    /// Fewer cells and 20 u_t/g instead of 60
+    #[arg(long)]
+    pub quick: bool,
+    /// Print the table as JSON
     #[arg(long)]
     pub json: bool,
 }

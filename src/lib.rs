@@ -34,6 +34,7 @@ pub mod table;
 pub mod bench;
 pub mod checkpoint;
 pub mod figure;
+pub mod hard;
 pub mod output;
 pub mod pipeline;
 pub mod progress;

@@ -14,6 +14,7 @@ use clap::Parser;
 use favre::bench;
 use favre::case::{Case, DEFAULT};
 use favre::checkpoint::Checkpoints;
+use favre::hard;
 use favre::output::Output;
 use favre::pipeline::{self, RunError, RunOptions};
 use favre::verify::{self, Effort};
@@ -48,6 +49,7 @@ fn main() -> ExitCode {
         Some(Command::Stability(args)) => stability(&args),
         Some(Command::Bench(args)) => bench(&args),
         Some(Command::Verify(args)) => verify(&args),
+        Some(Command::HardCases(args)) => hard_cases(&args),
         None => Err(Failure::misuse(cli::WELCOME)),
     };
     match result {
@@ -169,7 +171,17 @@ fn stability(args: &cli::Stability) -> Result<(), Failure> {
 }
 
 fn bench(args: &cli::Bench) -> Result<(), Failure> {
-    let report = bench::measure(args.quick).map_err(Failure::failed)?;
+    if !args.error {
+        let report = bench::measure(args.quick).map_err(Failure::failed)?;
+        return if args.json { print_json(&report) } else { print(&report) };
+    }
+    let dir = args.out.as_deref().unwrap_or(Path::new("favre-out/bench-error"));
+    let output = Output::create(dir, args.force).map_err(Failure::misuse)?;
+    say(bench::error::HEADER);
+    let report = pipeline::bench_error(args.quick, &output, |point| say(point));
+    let report = report.map_err(Failure::failed)?;
+    let dir = output.commit().map_err(Failure::failed)?;
+    say(format_args!("favre: table and figures are in {}", dir.display()));
     if args.json { print_json(&report) } else { print(&report) }
 }
 
@@ -181,6 +193,27 @@ fn verify(args: &cli::Verify) -> Result<(), Failure> {
     let failed = report.failed();
     let message = || Failure::failed(format!("{failed} of {} do not pass", report.rows.len()));
     if failed == 0 { Ok(()) } else { Err(message()) }
+}
+
+fn hard_cases(args: &cli::HardCases) -> Result<(), Failure> {
+    // The table takes minutes: its rows are shown as they come.
+    if !args.json {
+        write(format!("{}\n", hard::HEADER))?;
+    }
+    let mut written = Ok(());
+    let table = hard::run(args.quick, |row| {
+        if !args.json && written.is_ok() {
+            written = write(format!("{row}\n"));
+        }
+    });
+    written?;
+    if args.json {
+        print_json(&table)?;
+    }
+    match table.failed() {
+        0 => Ok(()),
+        failed => Err(Failure::failed(format!("{failed} of {} cases fail", table.rows.len()))),
+    }
 }
 
 /// An error and its causes on one line.

@@ -100,6 +100,17 @@ macro_rules! simd {
 }
 pub(crate) use simd;
 
+/// What `work` returns, done with `threads` threads for the rows of parallel fields.
+///
+/// # Errors
+/// The threads cannot be started.
+pub fn on_threads<T: Send>(
+    threads: usize,
+    work: impl FnOnce() -> T + Send,
+) -> Result<T, rayon::ThreadPoolBuildError> {
+    Ok(rayon::ThreadPoolBuilder::new().num_threads(threads).build()?.install(work))
+}
+
 /// The rows of a layout, and how they are shared out.
 #[derive(Clone, Copy, Debug)]
 pub struct Rows<const D: usize> {
