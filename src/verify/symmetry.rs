@@ -146,7 +146,7 @@ pub(super) fn check(effort: Effort) -> Checked {
     let mut rows = Vec::new();
     let mut row = |name: &str, found: f64| {
         rows.push(
-            Row::new(format!("{name}: difference"), Expected::AtMost(1e-8), found).with(format!(
+            Row::new(format!("{name}: difference"), Expected::AtMost(1e-9), found).with(format!(
                 "symmetry; {STEPS} steps of a bed that noise has left, the pressure to {TOLERANCE:e}"
             )),
         );
