@@ -1,0 +1,411 @@
+//! [`Resolved`]: resolved fields of one instant, from anyone's files, checked; and the same to disk.
+//!
+//! Files ([`numpy`], [`vtk`], [`openfoam`], [`particles`]) give named arrays on a [`Lattice`] of equal
+//! cells along x, y and z; a [`map`] says which of them are what; [`Resolved`] has the axes of the
+//! crate, the vertical one last, and SI units. [`series`] does this for many files in the order of
+//! time. [`write`](mod@write) writes what the filter was given in flight, in double precision, so
+//! that bins from disk are those of the flight.
+
+pub mod expression;
+pub mod map;
+pub mod numpy;
+pub mod openfoam;
+pub mod particles;
+pub mod series;
+pub mod vtk;
+pub mod write;
+
+use crate::case::Case;
+use crate::fine::{FineFields, symmetric_components};
+use crate::grid::Grid;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Numbers per cell, one list for each component.
+pub type Columns = Vec<Vec<f64>>;
+
+/// Why fields cannot be taken.
+#[derive(Debug, thiserror::Error)]
+pub enum ResolvedError {
+    /// A file or folder cannot be read.
+    #[error("cannot read {path}", path = path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// A file is not what its name says, or holds what is not read.
+    #[error("{path}: {why}", path = path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and what would be accepted.
+        why: String,
+    },
+    /// An array as a whole is not acceptable.
+    #[error("{path}: array {array}: {why}", path = path.display())]
+    Array {
+        /// The file.
+        path: PathBuf,
+        /// The array, or the formula of arrays.
+        array: String,
+        /// What is wrong and what would be accepted.
+        why: String,
+    },
+    /// One value of an array is not acceptable.
+    #[error("{path}: array {array}: {value} in cell {cell:?}, counted from 0 along x, y, z: {why}", path = path.display())]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// The array, or the formula of arrays.
+        array: String,
+        /// The cell along x, y and z.
+        cell: [usize; 3],
+        /// The value.
+        value: f64,
+        /// What is wrong and what would be accepted.
+        why: String,
+    },
+    /// The map cannot be used.
+    #[error("{place}: {why}")]
+    Map {
+        /// The map, and what in it.
+        place: String,
+        /// What is wrong and what would be accepted.
+        why: String,
+    },
+    /// Files do not belong together.
+    #[error("{path} and {other}: {why}", path = path.display(), other = other.display())]
+    Pair {
+        /// One file.
+        path: PathBuf,
+        /// The other.
+        other: PathBuf,
+        /// Why not, and what would be accepted.
+        why: String,
+    },
+}
+
+impl ResolvedError {
+    pub(crate) fn read(path: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
+        |source| Self::Read { path: path.to_owned(), source }
+    }
+
+    pub(crate) fn format(path: &Path, why: impl Into<String>) -> Self {
+        Self::Format { path: path.to_owned(), why: why.into() }
+    }
+
+    pub(crate) fn array(path: &Path, array: &str, why: impl Into<String>) -> Self {
+        Self::Array { path: path.to_owned(), array: array.to_owned(), why: why.into() }
+    }
+}
+
+/// A box of equal cells along x, y and z; a box of one cell along an axis is flat there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lattice {
+    /// Cells along each axis.
+    pub cells: [usize; 3],
+    /// Edges of a cell, in the file's unit.
+    pub spacing: [f64; 3],
+    /// Lower corner of the box, in the file's unit.
+    pub origin: [f64; 3],
+}
+
+impl Lattice {
+    /// Cells in all.
+    pub fn len(&self) -> usize {
+        self.cells.iter().product()
+    }
+
+    /// Whether it has no cell.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The cell number `n`, x fastest, along each axis.
+    pub fn cell(&self, n: usize) -> [usize; 3] {
+        let [x, y, _] = self.cells;
+        [n % x, n / x % y, n / (x * y)]
+    }
+
+    /// The lattice of cells given by their lower and upper corners, and each one's number on it, x
+    /// fastest.
+    ///
+    /// # Errors
+    /// The cells are not equal boxes that fill a box, each place once; the message says which cell.
+    pub fn of_boxes(boxes: &[[[f64; 3]; 2]]) -> Result<(Self, Vec<usize>), String> {
+        let Some([low, high]) = boxes.first() else { return Err("there is no cell".into()) };
+        let size: [f64; 3] = std::array::from_fn(|axis| high[axis] - low[axis]);
+        let mut bounds = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+        for (n, [low, high]) in boxes.iter().enumerate() {
+            for axis in 0..3 {
+                let edge = high[axis] - low[axis];
+                let longest = size.into_iter().fold(0.0, f64::max);
+                // Corners may be single precision.
+                if (edge - size[axis]).abs() > 1e-3 * longest || !edge.is_finite() {
+                    return Err(format!(
+                        "cell {n} has an edge of {edge} and cell 0 of {} along {}: fields on \
+                         cells of equal size are accepted; resample to a uniform grid first",
+                        size[axis], AXES[axis]
+                    ));
+                }
+                bounds[0][axis] = bounds[0][axis].min(low[axis]);
+                bounds[1][axis] = bounds[1][axis].max(high[axis]);
+            }
+        }
+        let mut cells = [1; 3];
+        for axis in 0..3 {
+            let span = bounds[1][axis] - bounds[0][axis];
+            if span > 0.0 {
+                let count = (span / size[axis]).round();
+                if !(count >= 1.0 && count <= boxes.len() as f64) {
+                    return Err(format!(
+                        "{} cells do not fill a box of {count} layers along {}",
+                        boxes.len(),
+                        AXES[axis]
+                    ));
+                }
+                cells[axis] = count as usize;
+            }
+        }
+        let lattice = Self {
+            cells,
+            spacing: std::array::from_fn(|axis| {
+                let span = bounds[1][axis] - bounds[0][axis];
+                if span > 0.0 { span / cells[axis] as f64 } else { 1.0 }
+            }),
+            origin: bounds[0],
+        };
+        if cells.iter().try_fold(1usize, |n, count| n.checked_mul(*count)) != Some(boxes.len()) {
+            return Err(format!(
+                "{} cells do not fill their box of {} x {} x {}: fields of a whole box are \
+                 accepted",
+                boxes.len(),
+                cells[0],
+                cells[1],
+                cells[2]
+            ));
+        }
+        let mut taken = vec![false; boxes.len()];
+        let mut numbers = Vec::with_capacity(boxes.len());
+        for (n, [low, _]) in boxes.iter().enumerate() {
+            let mut place = [0; 3];
+            for axis in 0..3 {
+                let at = (low[axis] - lattice.origin[axis]) / lattice.spacing[axis];
+                if (at - at.round()).abs() > 0.05 {
+                    return Err(format!(
+                        "cell {n} begins at {} along {}, between two layers of cells of {}: \
+                         fields on a uniform grid are accepted",
+                        low[axis], AXES[axis], lattice.spacing[axis]
+                    ));
+                }
+                place[axis] = (at.round() as usize).min(cells[axis] - 1);
+            }
+            let number = place[0] + cells[0] * (place[1] + cells[1] * place[2]);
+            if std::mem::replace(&mut taken[number], true) {
+                return Err(format!("cell {n} lies where another cell lies, at {place:?}"));
+            }
+            numbers.push(number);
+        }
+        Ok((lattice, numbers))
+    }
+}
+
+/// Names of the axes.
+pub const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// An array of a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Array {
+    /// Its name.
+    pub name: String,
+    /// Its components, in each cell of the lattice, x fastest.
+    pub columns: Columns,
+    /// Exponents of kg, m, s, K, mol, A and cd, where the file gives them.
+    pub dimensions: Option<[f64; 7]>,
+}
+
+/// What one file, or one folder of an instant, holds.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Piece {
+    /// The file or folder.
+    pub path: PathBuf,
+    /// Its time, in the file's unit.
+    pub time: Option<f64>,
+    /// Its cells; none where the file does not tell sizes.
+    pub lattice: Option<Lattice>,
+    /// Whether `lattice` has sizes, or only the number of cells.
+    pub sized: bool,
+    /// Along which axes the box repeats itself, where the file tells.
+    pub periodic: Option<[bool; 3]>,
+    /// The vertical axis, 0 to 2, where the file tells.
+    pub vertical: Option<usize>,
+    /// Gravity along x, y, z, where the file tells.
+    pub gravity: Option<[f64; 3]>,
+    /// Its arrays that were asked for.
+    pub arrays: Vec<Array>,
+    /// What else it holds, each with what hinders its use, if anything does.
+    pub others: Vec<(String, Option<&'static str>)>,
+    /// The text of the case that made it, if Favre did.
+    pub case: Option<String>,
+    /// Means of the box at this instant and at its start, if Favre wrote them.
+    pub signals: Option<[[f64; 3]; 2]>,
+    /// Particles instead of cells: each column of `arrays` has one entry per particle.
+    pub particles: bool,
+}
+
+/// Why an array at corners is refused.
+pub(crate) const POINT_DATA: &str = "it is point data, given at the corners of cells, and cell \
+    data are needed: write cell data, or convert with a filter such as ParaView's Point Data to \
+    Cell Data";
+
+/// Resolved fields of one instant on a grid, at cell centres, first axis fastest; SI. The last axis
+/// is vertical. Velocities and gradients have one list per axis.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Resolved {
+    /// Where they come from.
+    pub path: PathBuf,
+    /// Simulated time \[s\].
+    pub time: f64,
+    /// Cells along each axis, two or three.
+    pub cells: Vec<usize>,
+    /// Edges of a cell \[m\].
+    pub spacing: Vec<f64>,
+    /// Lower corner of the box \[m\].
+    pub origin: Vec<f64>,
+    /// Along which axes the box repeats itself.
+    pub periodic: Vec<bool>,
+    /// φ \[-\].
+    pub solids_fraction: Vec<f64>,
+    /// u_s \[m/s\].
+    pub solids_velocity: Columns,
+    /// u_g \[m/s\].
+    pub gas_velocity: Columns,
+    /// p \[Pa\], of which the gradient is taken where that is not given.
+    pub pressure: Option<Vec<f64>>,
+    /// ∇p \[Pa/m\].
+    pub pressure_gradient: Option<Columns>,
+    /// β \[kg/m³/s\]; the case's law where it is not given.
+    pub drag_coefficient: Option<Vec<f64>>,
+    /// Θ \[m²/s²\].
+    pub granular_temperature: Option<Vec<f64>>,
+    /// Isotropic kinetic-theory stress, compression positive \[Pa\].
+    pub solids_pressure: Option<Vec<f64>>,
+    /// Deviatoric kinetic-theory stress, compression positive \[Pa\], in the order of
+    /// [`symmetric_index`](crate::fine::symmetric_index).
+    pub solids_stress: Option<Columns>,
+    /// Mean slip, slip seen by the particles and variance of φ at this instant and at the start of
+    /// the simulation, if Favre wrote them.
+    pub signals: Option<[[f64; 3]; 2]>,
+}
+
+impl Resolved {
+    /// The volume mean of φ.
+    pub fn mean_solids_fraction(&self) -> f64 {
+        self.solids_fraction.iter().sum::<f64>() / self.solids_fraction.len() as f64
+    }
+
+    /// Mean slip ⟨φ_g u_g⟩/⟨φ_g⟩ - ⟨φ u_s⟩/⟨φ⟩ and slip seen by the particles
+    /// ⟨φ (u_g - u_s)⟩/⟨φ⟩, both vertical \[m/s\], and the variance of φ: as the simulator wrote them,
+    /// or else from the values at cell centres.
+    pub fn means(&self) -> [f64; 3] {
+        if let Some([now, _]) = self.signals {
+            return now;
+        }
+        let vertical = self.cells.len() - 1;
+        let (gas, solids) = (&self.gas_velocity[vertical], &self.solids_velocity[vertical]);
+        let phi = &self.solids_fraction;
+        let mut sums = [0.0; 5];
+        for ((phi, gas), solids) in phi.iter().zip(gas).zip(solids) {
+            for (sum, term) in
+                sums.iter_mut().zip([*phi, phi * phi, phi * solids, phi * gas, (1.0 - phi) * gas])
+            {
+                *sum += term;
+            }
+        }
+        let n = phi.len() as f64;
+        let [fraction, square, solids, seen, gas] = sums.map(|sum| sum / n);
+        [
+            gas / (1.0 - fraction) - solids / fraction,
+            (seen - solids) / fraction,
+            square - fraction * fraction,
+        ]
+    }
+
+    /// Fills `fine`: the one place where fields from disk are handed over to the filter. What was
+    /// not given follows from what was: ∇p from p by central differences as the simulator does, or
+    /// 0 without either; β from the drag law of `case`; Θ and the kinetic-theory stress are 0 where
+    /// they are not given.
+    ///
+    /// # Panics
+    /// When `fine` is of another grid.
+    pub fn hand_over<const D: usize>(self, case: &Case, fine: &mut FineFields<D>) {
+        assert_eq!(fine.grid.cells[..], self.cells[..], "fields of another grid");
+        let len = fine.grid.len();
+        fine.time = self.time;
+        let law = case.physics.drag.law(&case.gas, &case.powder);
+        fine.drag_coefficient = self.drag_coefficient.unwrap_or_else(|| {
+            let speed = |n: usize| {
+                let slip = |a: usize| self.gas_velocity[a][n] - self.solids_velocity[a][n];
+                (0..D).map(|a| slip(a).powi(2)).sum::<f64>().sqrt()
+            };
+            let phi = &self.solids_fraction;
+            (0..len).map(|n| phi[n] * law.beta_per_fraction(phi[n], speed(n))).collect()
+        });
+        let vertical = match (self.pressure_gradient, &self.pressure) {
+            (Some(mut gradient), _) => gradient.swap_remove(D - 1),
+            (None, Some(pressure)) => gradient(pressure, &fine.grid, D - 1, self.periodic[D - 1]),
+            (None, None) => vec![0.0; len],
+        };
+        fine.vertical_pressure_gradient = vertical;
+        fine.solids_fraction = self.solids_fraction;
+        for (to, from) in fine.solids_velocity.iter_mut().zip(self.solids_velocity) {
+            *to = from;
+        }
+        for (to, from) in fine.gas_velocity.iter_mut().zip(self.gas_velocity) {
+            *to = from;
+        }
+        let zero = || vec![0.0; len];
+        fine.granular_temperature = self.granular_temperature.unwrap_or_else(zero);
+        fine.solids_pressure = self.solids_pressure.unwrap_or_else(zero);
+        fine.solids_stress =
+            self.solids_stress.unwrap_or_else(|| vec![zero(); symmetric_components(D)]);
+    }
+
+    /// The grid of the fields.
+    ///
+    /// # Panics
+    /// When they have another dimension.
+    pub fn grid<const D: usize>(&self) -> Grid<D> {
+        assert_eq!(self.cells.len(), D, "fields of another dimension");
+        Grid {
+            cells: std::array::from_fn(|a| self.cells[a]),
+            spacing: std::array::from_fn(|a| self.spacing[a]),
+        }
+    }
+}
+
+/// ∂q/∂x along `axis` by central differences; one-sided at the ends of an axis that is not periodic.
+pub fn gradient<const D: usize>(
+    q: &[f64],
+    grid: &Grid<D>,
+    axis: usize,
+    periodic: bool,
+) -> Vec<f64> {
+    let stride: usize = grid.cells[..axis].iter().product();
+    let (count, h) = (grid.cells[axis], grid.spacing[axis]);
+    (0..q.len())
+        .map(|n| {
+            let place = n / stride % count;
+            let (above, below, distance) = match (place, periodic) {
+                (0, false) => (n + stride, n, h),
+                (0, true) => (n + stride, n + (count - 1) * stride, 2.0 * h),
+                (last, false) if last == count - 1 => (n, n - stride, h),
+                (last, true) if last == count - 1 => (n - last * stride, n - stride, 2.0 * h),
+                _ => (n + stride, n - stride, 2.0 * h),
+            };
+            (q[above] - q[below]) / distance
+        })
+        .collect()
+}
