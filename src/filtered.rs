@@ -252,6 +252,14 @@ impl Map {
             Map::OneMinusRatio => 1.0 - ratio,
         }
     }
+
+    /// The interval of the value for one of the ratio, lower end first.
+    pub fn interval(self, [low, high]: [f64; 2]) -> [f64; 2] {
+        match self {
+            Map::Ratio => [low, high],
+            Map::OneMinusRatio => [1.0 - high, 1.0 - low],
+        }
+    }
 }
 
 /// A reported quantity: a ratio of two sums over the filter positions of a bin, so that table,

@@ -8,7 +8,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::blocking::{Block, Estimate, Quantiles, estimate};
+use crate::blocking::{Estimate, Estimator, Run};
 use crate::filter::{FilterError, width_in_cells};
 use crate::filtered::{Filtered, QUANTITIES, QUANTITY_COUNT, Quantity};
 use crate::fine::FineFields;
@@ -418,9 +418,8 @@ impl<const D: usize, L: DragLaw<f64>> Sampler<D, L> {
 /// The bin table of several runs' sums, pooled: one row per quantity, filter width and visited bin,
 /// in this order, slip bins before fraction bins.
 ///
-/// Errors are those of [`estimate`]: a bin seen in fewer than
-/// [`MINIMUM_LUMPS`](crate::blocking::MINIMUM_LUMPS) blocks keeps its row, with its value, an
-/// infinite error and no effective samples. `effective_samples` is the variance of a single filter
+/// Errors are those of [`Estimator`]: a bin of which too few blocks tell keeps its row, with its
+/// value, an infinite error and no effective samples. `effective_samples` is the variance of a single filter
 /// position's residual over the squared standard error: the number of independent positions that
 /// would give the same error. A quantity whose denominator vanishes throughout a bin, such as a
 /// viscosity without shear, has no row.
@@ -434,20 +433,12 @@ pub fn bin_table(runs: &[Sums], scales: &Scales) -> Result<Vec<BinRow>, MergeErr
     }
     let visits: Vec<Vec<Vec<Visit>>> =
         (0..first.widths.len()).map(|width| visits(runs, width)).collect();
-    let mut quantiles = Quantiles::default();
-    let mut blocks = Vec::new();
+    let mut estimator = Estimator::default();
     let mut rows = Vec::new();
     for quantity in 0..QUANTITY_COUNT {
         for (&width, visits) in first.widths.iter().zip(&visits) {
             for visits in visits.iter().filter(|visits| !visits.is_empty()) {
-                blocks.clear();
-                blocks.extend(visits.iter().map(|visit| Block {
-                    run: visit.run,
-                    place: visit.place,
-                    numerator: visit.sums.pairs[quantity].numerator,
-                    denominator: visit.sums.pairs[quantity].denominator,
-                }));
-                let found = estimate(&blocks, &mut quantiles);
+                let found = estimator.estimate(&blocks(runs, visits, quantity));
                 if found.ratio.is_finite() {
                     rows.push(row(quantity, width, visits, &found, &first.bins, scales));
                 }
@@ -460,8 +451,22 @@ pub fn bin_table(runs: &[Sums], scales: &Scales) -> Result<Vec<BinRow>, MergeErr
 /// A bin's sums in one block of one run.
 struct Visit<'a> {
     run: usize,
-    place: u64,
+    block: usize,
     sums: &'a BinSums,
+}
+
+/// The sums of `quantity` in every block of the runs that visited a bin.
+fn blocks(runs: &[Sums], visits: &[Visit], quantity: usize) -> Vec<Run> {
+    let of_run = |visits: &[Visit]| {
+        // A block that did not visit the bin saw nothing there.
+        let mut sums = vec![[0.0; 2]; runs[visits[0].run].blocks.len()];
+        for visit in visits {
+            let pair = &visit.sums.pairs[quantity];
+            sums[visit.block] = [pair.numerator, pair.denominator];
+        }
+        Run::in_time(sums)
+    };
+    visits.chunk_by(|a, b| a.run == b.run).map(of_run).collect()
 }
 
 /// For each bin its visits at filter width number `width`, ordered by run and time.
@@ -469,9 +474,9 @@ fn visits(runs: &[Sums], width: usize) -> Vec<Vec<Visit<'_>>> {
     let bins = runs.first().map_or(0, |run| run.bins.len());
     let mut visits: Vec<Vec<Visit>> = (0..bins).map(|_| Vec::new()).collect();
     for (number, run) in runs.iter().enumerate() {
-        for block in &run.blocks {
+        for (place, block) in run.blocks.iter().enumerate() {
             for sums in &block.widths[width] {
-                visits[sums.bin].push(Visit { run: number, place: block.place, sums });
+                visits[sums.bin].push(Visit { run: number, block: place, sums });
             }
         }
     }
@@ -500,6 +505,7 @@ fn row(
     };
     let Quantity { name, kind, map, .. } = QUANTITIES[quantity];
     let value = map.value(found.ratio);
+    let [low_95, high_95] = map.interval(found.interval_95);
     let [solids_fraction_low, solids_fraction_high] = bins.fraction_edges(total.bin);
     let [slip_low, slip_high] = bins.slip_edges(total.bin);
     BinRow {
@@ -516,8 +522,8 @@ fn row(
         slip_high,
         value,
         standard_error: found.standard_error,
-        low_95: value - found.half_width_95,
-        high_95: value + found.half_width_95,
+        low_95,
+        high_95,
         value_scaled: value / kind.scale(scales),
         samples: total.positions,
         effective_samples,
