@@ -7,12 +7,16 @@ use crate::grid::Grid;
 use crate::laws::scales::Scales;
 use crate::real::Real;
 use crate::series::{Onset, steady_start};
-use crate::statistics::{Bins, MergeError, Sampler, Sums};
+use crate::spectral::Kernel;
+use crate::statistics::{Bins, MergeError, Sampler, Sampling, Sums};
 use crate::two_fluid::{Limit, Means, Setup, StateError, StepError, TwoFluid};
 use std::io::{self, Read, Write};
 
 /// Sampling intervals in a block of time, the smallest unit of the error estimate.
 const SAMPLES_PER_BLOCK: f64 = 4.0;
+
+/// Least distance between filter positions in flight \[cells\].
+const CLOSEST: usize = 4;
 
 /// Means over the box at equal intervals of time, the first at t = 0.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
@@ -226,7 +230,19 @@ pub fn simulate_from<R: Real, const D: usize>(
     let bins = Bins::new(filter.solids_fraction_bin, powder.max_packing, slip_bin);
     let law = physics.drag.law(gas, powder);
     let block = SAMPLES_PER_BLOCK * run.sample_interval;
-    let mut sampler = Sampler::new(grid, law, scales, bins, &filter.widths, block)?;
+    let sampling = Sampling {
+        scales,
+        gas_density: gas.density,
+        bins,
+        kernel: Kernel::Box,
+        widths: filter.widths.clone(),
+        block_duration: block,
+        space: [1; D],
+        periodic: [true; D],
+        closest: CLOSEST,
+        parallel,
+    };
+    let mut sampler = Sampler::new(grid, law, sampling)?;
 
     let mut fine = FineFields::zeros(grid);
     let start = flow.means();

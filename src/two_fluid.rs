@@ -634,15 +634,16 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
                         (self.solids[a].data[at + stride[a]], self.solids[a].data[at]);
                     divergence += (upper.f64() - lower.f64()) / h[a];
                 }
-                let up = stride[D - 1];
-                let (above, below) = (self.pressure.data[at + up], self.pressure.data[at - up]);
+                for a in 0..D {
+                    let (above, below) =
+                        (self.pressure.data[at + stride[a]], self.pressure.data[at - stride[a]]);
+                    fine.pressure_gradient[a][cell] = (above.f64() - below.f64()) / (2.0 * h[a]);
+                }
                 let drag = self.law.beta_per_fraction(phi, slip_squared.sqrt());
                 let g0 = self.contact.radial_distribution(phi);
                 let transport = theory.transport(phi, g0, theta, drag);
                 fine.solids_fraction[cell] = phi;
                 fine.granular_temperature[cell] = theta;
-                fine.vertical_pressure_gradient[cell] =
-                    (above.f64() - below.f64()) / (2.0 * h[D - 1]);
                 fine.drag_coefficient[cell] = phi * drag;
                 fine.solids_pressure[cell] = theory.pressure(phi, g0, theta)
                     + self.contact.frictional_pressure(phi)

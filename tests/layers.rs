@@ -17,12 +17,16 @@ const ALLOWED: &[(&str, &str)] = &[
     ("two_fluid", "case field fine grid laws poisson real rows stencil"),
     ("fine", "grid"),
     ("filter", "grid"),
-    ("moments", "fine filter filtered grid"),
-    ("filtered", "fine laws"),
+    ("lanes", ""),
+    ("spectral", ""),
+    ("moments", "fine filter filtered grid lanes rows spectral"),
+    ("filtered", "lanes laws"),
     ("blocking", ""),
     ("series", "blocking"),
-    ("statistics", "blocking filter filtered fine grid laws moments table"),
-    ("simulate", "case filter fine grid laws real series statistics two_fluid"),
+    ("statistics", "blocking filter filtered fine grid lanes laws moments rows spectral table"),
+    ("binary", ""),
+    ("sums", "binary filtered spectral statistics"),
+    ("simulate", "case filter fine grid laws real series spectral statistics two_fluid"),
     ("stability", "case laws"),
     ("table", ""),
     ("forms", ""),
@@ -31,7 +35,7 @@ const ALLOWED: &[(&str, &str)] = &[
     ("figure", "fit forms model stability table"),
     ("output", ""),
     ("progress", "series simulate"),
-    ("checkpoint", "case filtered output simulate stability statistics"),
+    ("checkpoint", "binary case output simulate stability sums"),
     ("summary", "case laws model rows series simulate stability table"),
     (
         "pipeline",
@@ -46,6 +50,8 @@ const RESERVED: &[(&str, &str)] = &[
     ("unsafe", "rows"),
     ("kuva", "figure"),
     ("indicatif", "progress"),
+    ("realfft", "spectral"),
+    ("rustfft", "spectral"),
 ];
 
 fn source() -> PathBuf {
