@@ -525,9 +525,17 @@ simd! {
         let blocks = source.chunks_exact(n * inner).zip(last.chunks_exact(n * inner));
         for ((source, last), out) in blocks.zip(out.chunks_exact_mut(places * inner)) {
             // Along the first axis, places next to each other are one layer, up to the end.
-            let (layers, len) = if inner == 1 && step == 1 {
-                let whole = (n + 1).saturating_sub(1 + at[count - 1]).min(places);
-                sum_slices(count, [source, source, last], at, factor, &mut out[..whole]);
+            let (layers, len) = if inner == 1 {
+                let whole = n.saturating_sub(at[count - 1]).div_ceil(step).min(places);
+                if step == 1 {
+                    sum_slices(count, [source, source, last], at, factor, &mut out[..whole]);
+                } else {
+                    for (j, out) in out[..whole].iter_mut().enumerate() {
+                        let from = at.map(|at| at + j * step);
+                        let out = std::slice::from_mut(out);
+                        sum_slices(count, [source, source, last], from, factor, out);
+                    }
+                }
                 (whole..places, 1)
             } else {
                 (0..places, inner)

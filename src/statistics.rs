@@ -766,11 +766,21 @@ pub fn bin_table(runs: &[Sums], scales: &Scales) -> Result<Vec<BinRow>, MergeErr
     Ok(rows)
 }
 
+/// What was seen of a bin in one block.
+struct Seen<'a> {
+    run: usize,
+    block: usize,
+    /// The block of space.
+    place: usize,
+    sums: &'a [f64],
+    spread: &'a [f64],
+}
+
 /// What all runs saw of one bin at one width.
 struct BinVisits<'a> {
     bin: usize,
-    /// Run, block, block of space and what was seen there, in this order.
-    seen: Vec<(usize, usize, usize, &'a [f64], &'a [f64])>,
+    /// In the order of runs, blocks and blocks of space.
+    seen: Vec<Seen<'a>>,
     /// Sums of all of them.
     total: Vec<f64>,
 }
@@ -778,23 +788,23 @@ struct BinVisits<'a> {
 impl BinVisits<'_> {
     /// Numerators and denominators of every block of the runs that visited the bin.
     fn blocks(&self, runs: &[Sums], pair: impl Fn(&[f64]) -> [f64; 2]) -> Vec<Run> {
-        let of_run = |seen: &[(usize, usize, usize, &[f64], &[f64])]| {
-            let run = &runs[seen[0].0];
+        let of_run = |seen: &[Seen]| {
+            let run = &runs[seen[0].run];
             let places = run.layout.places();
             // A block that did not visit the bin saw nothing there.
             let mut sums = vec![[0.0; 2]; run.blocks.len() * places];
-            for (_, block, place, terms, _) in seen {
-                sums[block * places + place] = pair(terms);
+            for seen in seen {
+                sums[seen.block * places + seen.place] = pair(seen.sums);
             }
             Run { space: run.layout.space, sums }
         };
-        self.seen.chunk_by(|a, b| a.0 == b.0).map(of_run).collect()
+        self.seen.chunk_by(|a, b| a.run == b.run).map(of_run).collect()
     }
 
     /// Mean of (num - R den)² over the positions that were looked at; none if none was.
     fn spread(&self, quantity: usize, ratio: f64) -> Option<f64> {
         let (mut positions, mut squares) = (0.0, 0.0);
-        for (.., spread) in self.seen.iter().filter(|(.., spread)| !spread.is_empty()) {
+        for spread in self.seen.iter().map(|seen| seen.spread).filter(|spread| !spread.is_empty()) {
             let [numerator, product, denominator] =
                 std::array::from_fn(|part| spread[1 + 3 * quantity + part]);
             positions += spread[0];
@@ -816,7 +826,7 @@ fn visits(runs: &[Sums], width: usize) -> Vec<BinVisits<'_>> {
             for (visit, &key) in visits.keys.iter().enumerate() {
                 let (bin, place) = (key as usize % bins, key as usize / bins);
                 let (sums, spread) = (visits.of(visit), visits.spread(visit));
-                visited[bin].seen.push((number, block, place, sums, spread));
+                visited[bin].seen.push(Seen { run: number, block, place, sums, spread });
                 for (total, sum) in visited[bin].total.iter_mut().zip(sums) {
                     *total += sum;
                 }
