@@ -1,13 +1,15 @@
-//! [`Field`]: one number per cell, with a periodic halo; [`Faces`]: one per face of each axis.
+//! [`Field`]: one number per cell; [`Faces`]: one per face of each axis; `Ring`: the last few
+//! slabs of a field that a sweep leaves behind. All periodic.
 
 use crate::grid::Grid;
 use crate::real::Real;
 
-/// Width of the halo in rows and planes: what a limited slope needs beside a face.
+/// Cells copied to either end of a row from its other end: what a limited slope needs beside a face.
 const HALO: usize = 2;
 
-/// Elements before and after a row: a halo of two cells, padded so that rows start a multiple of
-/// 64 bytes apart and neighbouring rows do not fall into the same cache set.
+/// Elements between two rows, which hold the end of the halo of one and the beginning of that of the
+/// next. Rows start a multiple of 64 bytes apart, an odd one for the usual numbers of cells, so that
+/// neighbouring rows do not fall into the same cache set.
 const PAD: usize = 8;
 
 /// Where the cells of a grid lie in memory: rows along the first axis are contiguous.
@@ -16,25 +18,45 @@ pub struct Layout<const D: usize> {
     /// Cells along each axis.
     pub cells: [usize; D],
     /// Distance in memory between neighbours along each axis.
-    pub stride: [usize; D],
-    /// Offset of the first cell.
-    origin: usize,
-    /// Length of the memory, halo included.
-    len: usize,
+    stride: [usize; D],
+}
+
+/// A row of cells along the first axis: how far it is shifted along that axis, and its index along
+/// each of the others, which the boundary may lie on the way to. Or several rows of a slab that
+/// follow one another, with what lies between them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Row<const D: usize> {
+    at: [isize; D],
+    /// How many rows.
+    count: usize,
+}
+
+impl<const D: usize> Row<D> {
+    /// The row seen from `n` cells behind along `axis`: its neighbour, or itself shifted. A shift
+    /// along the first axis is at most two.
+    #[inline(always)]
+    #[must_use]
+    pub fn near(mut self, axis: usize, n: isize) -> Self {
+        self.at[axis] += n;
+        self
+    }
+
+    /// Index along the last axis, not wrapped.
+    pub(crate) fn slab(self) -> isize {
+        self.at[D - 1]
+    }
 }
 
 impl<const D: usize> Layout<D> {
     /// The layout of `cells`.
     pub fn new(cells: [usize; D]) -> Self {
         let mut stride = [1; D];
-        let mut origin = PAD;
-        let mut len = cells[0].next_multiple_of(PAD) + 2 * PAD;
+        let mut len = cells[0].next_multiple_of(PAD) + PAD;
         for axis in 1..D {
             stride[axis] = len;
-            origin += HALO * len;
-            len *= cells[axis] + 2 * HALO;
+            len *= cells[axis];
         }
-        Self { cells, stride, origin, len }
+        Self { cells, stride }
     }
 
     /// Number of rows along the first axis.
@@ -42,40 +64,152 @@ impl<const D: usize> Layout<D> {
         self.cells[1..].iter().product()
     }
 
-    /// Offset of the first cell of row `row`.
+    /// Rows with one index along the last axis.
+    pub(crate) fn rows_of_slab(&self) -> usize {
+        self.cells[1..D - 1].iter().product()
+    }
+
+    /// Row number `row`, counted along the second axis first.
     #[inline]
-    pub fn row(&self, mut row: usize) -> usize {
-        let mut offset = self.origin;
+    pub fn row(&self, mut row: usize) -> Row<D> {
+        let mut at = [0; D];
         for axis in 1..D {
-            offset += (row % self.cells[axis]) * self.stride[axis];
+            at[axis] = (row % self.cells[axis]) as isize;
             row /= self.cells[axis];
         }
-        offset
+        Row { at, count: 1 }
     }
 
-    /// Copies the last and first cells of a row into its halo.
+    /// The number of a row that is not shifted.
+    pub(crate) fn number(&self, row: Row<D>) -> usize {
+        (1..D).rev().fold(0, |number, axis| number * self.cells[axis] + row.at[axis] as usize)
+    }
+
+    /// The rows of the slab `slab`, which may lie beyond the boundary, as few pieces as can be: rows
+    /// whose neighbours lie as they do in memory are one. A kernel does well on long rows.
+    #[inline(always)]
+    pub(crate) fn pieces(&self, slab: isize) -> impl Iterator<Item = Row<D>> + use<D> {
+        let rows = self.rows_of_slab();
+        let near = HALO.min(rows);
+        let inner = rows.saturating_sub(2 * near);
+        let mut pieces = [Row { at: [0; D], count: 1 }; 2 * HALO + 1];
+        let mut filled = 0;
+        let mut row = 0;
+        while row < rows {
+            let piece = &mut pieces[filled];
+            // The rows of a slab are counted along the second axis.
+            piece.at[1] = row as isize;
+            piece.at[D - 1] = slab;
+            piece.count = if row == near && inner > 0 { inner } else { 1 };
+            row += piece.count;
+            filled += 1;
+        }
+        pieces.into_iter().take(filled)
+    }
+
+    /// Elements of a row, or from the first of several to the last.
+    #[inline(always)]
+    fn extent(&self, row: Row<D>) -> usize {
+        self.cells[0] + (row.count - 1) * self.stride[1]
+    }
+
+    /// The rows that make up the cells of a [`Row`].
+    pub(crate) fn each<'a, R>(
+        &self,
+        cells: &'a [R],
+    ) -> impl Iterator<Item = &'a [R]> + use<'a, R, D> {
+        let n = self.cells[0];
+        cells.chunks(self.stride[1]).map(move |row| &row[..n])
+    }
+
+    /// Elements from the first cell of one slab to that of the next.
+    fn slab(&self) -> usize {
+        self.stride[D - 1]
+    }
+
+    /// Offset of the first cell of a row from that of the first.
+    #[inline(always)]
+    fn offset(&self, row: Row<D>) -> usize {
+        let mut offset = 0;
+        for axis in 1..D {
+            let (index, n) = (row.at[axis], self.cells[axis] as isize);
+            // Few rows lie beyond the boundary; a remainder for each would cost as much as a kernel.
+            let index = if index >= 0 && index < n { index } else { index.rem_euclid(n) };
+            offset += index as usize * self.stride[axis];
+        }
+        offset.wrapping_add_signed(row.at[0])
+    }
+
+    /// Offset of a row of a [`Ring`] whose slabs are a power of two.
+    #[inline(always)]
+    fn offset_in_ring(&self, mut row: Row<D>) -> usize {
+        row.at[D - 1] &= self.cells[D - 1] as isize - 1;
+        self.offset(row)
+    }
+
+    /// Length of the memory of all rows with their halos.
+    fn len(&self) -> usize {
+        PAD + self.cells[D - 1] * self.slab()
+    }
+
+    /// Where a row with its halo lies from the first cell of all.
     #[inline]
-    pub(crate) fn wrap_row<R: Copy>(row: &mut [R]) {
-        // `row` begins and ends with the halo.
-        let n = row.len() - 2 * HALO;
-        for i in 0..HALO {
-            row[HALO - 1 - i] = row[HALO + n - 1 - i % n];
-            row[HALO + n + i] = row[HALO + i % n];
+    pub(crate) fn span(&self, row: Row<D>) -> std::ops::Range<isize> {
+        let begin = self.offset(row) as isize;
+        begin - HALO as isize..begin + (self.cells[0] + HALO) as isize
+    }
+
+    /// Elements of the rows of a slab with their halos.
+    pub(crate) fn most_elements(&self) -> usize {
+        self.cells[0] + self.rows_of_slab() * self.stride[1] + 2 * HALO
+    }
+
+    /// Copies the last and first cells of rows, given with their halos, into the halos.
+    #[inline(always)]
+    pub(crate) fn wrap<R: Copy>(&self, lines: &mut [R]) {
+        let n = self.cells[0];
+        let wrap = |line: &mut [R]| {
+            for i in 0..HALO {
+                // A remainder costs more than the rest of this.
+                let shift = if n >= HALO { i } else { i % n };
+                line[HALO - 1 - i] = line[HALO + n - 1 - shift];
+                line[HALO + n + i] = line[HALO + shift];
+            }
+        };
+        if D == 2 {
+            // One row has no need of a division.
+            wrap(lines);
+        } else {
+            lines.chunks_mut(self.stride[1]).for_each(wrap);
         }
     }
 
-    /// The span of a row with its halo.
-    #[inline]
-    pub(crate) fn row_with_halo(&self, offset: usize) -> std::ops::Range<usize> {
-        offset - HALO..offset + self.cells[0] + HALO
+    /// The span of a row of `extent` elements with its halo, from the offset of its first cell.
+    #[inline(always)]
+    fn with_halo(offset: usize, extent: usize) -> std::ops::Range<usize> {
+        offset - HALO..offset + extent + HALO
     }
 }
 
 /// One number per cell of a periodic grid.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Field<R, const D: usize> {
     pub(crate) layout: Layout<D>,
-    pub(crate) data: Vec<R>,
+    data: Vec<R>,
+    /// Where the first cell is, on a multiple of 64 bytes: a vector that crosses two cache lines
+    /// costs twice.
+    origin: usize,
+}
+
+impl<R: Real, const D: usize> Clone for Field<R, D> {
+    fn clone(&self) -> Self {
+        // The copy has an origin of its own.
+        let mut copy = Self::zeros(self.layout);
+        let len = self.layout.len();
+        copy.data[copy.origin - PAD..][..len]
+            .copy_from_slice(&self.data[self.origin - PAD..][..len]);
+        copy
+    }
 }
 
 /// One number per face: component `a` holds, for each cell, its lower face along axis `a`.
@@ -84,7 +218,10 @@ pub type Faces<R, const D: usize> = [Field<R, D>; D];
 impl<R: Real, const D: usize> Field<R, D> {
     /// A field of zeros.
     pub fn zeros(layout: Layout<D>) -> Self {
-        Self { layout, data: vec![R::ZERO; layout.len] }
+        const LINE: usize = 64;
+        let data = vec![R::ZERO; layout.len() + LINE / size_of::<R>()];
+        let origin = PAD + data[PAD..].as_ptr().align_offset(LINE).min(LINE / size_of::<R>());
+        Self { layout, data, origin }
     }
 
     /// Faces of zeros.
@@ -92,16 +229,23 @@ impl<R: Real, const D: usize> Field<R, D> {
         std::array::from_fn(|_| Self::zeros(layout))
     }
 
-    /// As many cells as a row has, from `offset` on: a row, or a row seen from its neighbours when
-    /// `offset` is shifted by a stride.
+    /// As many cells as a row has.
     #[inline(always)]
-    pub fn row(&self, offset: usize) -> &[R] {
-        &self.data[offset..offset + self.layout.cells[0]]
+    pub fn row(&self, row: Row<D>) -> &[R] {
+        let at = self.origin + self.layout.offset(row);
+        &self.data[at..at + self.layout.extent(row)]
     }
 
-    /// A row, to be written; [`Field::wrap`] must follow before neighbours are read.
-    pub fn row_mut(&mut self, offset: usize) -> &mut [R] {
-        &mut self.data[offset..offset + self.layout.cells[0]]
+    /// A row, to be written; [`Field::wrap`] must follow before its neighbours are read.
+    pub fn row_mut(&mut self, row: Row<D>) -> &mut [R] {
+        let at = self.origin + self.layout.offset(row);
+        &mut self.data[at..at + self.layout.cells[0]]
+    }
+
+    /// Where the first cell is.
+    pub(crate) fn memory(&mut self) -> *mut R {
+        let origin = self.origin;
+        self.data.as_mut_ptr().wrapping_add(origin)
     }
 
     /// The rows, in order.
@@ -111,49 +255,32 @@ impl<R: Real, const D: usize> Field<R, D> {
 
     /// Sets every cell from its index.
     pub fn set(&mut self, mut value: impl FnMut([usize; D]) -> R) {
-        let cells = self.layout.cells;
         for row in 0..self.layout.rows() {
-            let mut index = [0; D];
-            let mut rest = row;
-            for axis in 1..D {
-                index[axis] = rest % cells[axis];
-                rest /= cells[axis];
-            }
-            let offset = self.layout.row(row);
-            for i in 0..cells[0] {
+            let row = self.layout.row(row);
+            let mut index = row.at.map(|i| i as usize);
+            for (i, q) in self.row_mut(row).iter_mut().enumerate() {
                 index[0] = i;
-                self.data[offset + i] = value(index);
+                *q = value(index);
             }
         }
         self.wrap();
     }
 
-    /// Fills the whole halo from the interior.
+    /// Fills the halos of the rows.
     pub fn wrap(&mut self) {
         for row in 0..self.layout.rows() {
-            let span = self.layout.row_with_halo(self.layout.row(row));
-            Layout::<D>::wrap_row(&mut self.data[span]);
+            let offset = self.origin + self.layout.offset(self.layout.row(row));
+            let line = Layout::<D>::with_halo(offset, self.layout.cells[0]);
+            self.layout.wrap(&mut self.data[line]);
         }
-        self.wrap_rows();
     }
 
-    /// Fills the halo rows (and planes) from rows whose own ends are already wrapped.
-    pub(crate) fn wrap_rows(&mut self) {
-        let Layout { cells, stride, .. } = self.layout;
-        for axis in 1..D {
-            // Each block holds the whole extent of the lower axes and `cells + 2 halo` layers.
-            let layer = stride[axis];
-            let block = layer * (cells[axis] + 2 * HALO);
-            for data in self.data.chunks_exact_mut(block) {
-                let n = cells[axis];
-                for i in 0..HALO {
-                    let from = HALO + n - 1 - i % n;
-                    data.copy_within(from * layer..(from + 1) * layer, (HALO - 1 - i) * layer);
-                    let from = HALO + i % n;
-                    data.copy_within(from * layer..(from + 1) * layer, (HALO + n + i) * layer);
-                }
-            }
-        }
+    /// All slabs, to be written in parts.
+    pub(crate) fn slabs(&mut self) -> Slabs<'_, R, D> {
+        let Self { layout, origin, data } = self;
+        let begin = *origin - PAD / 2;
+        let data = &mut data[begin..begin + layout.cells[D - 1] * layout.slab()];
+        Slabs { layout: *layout, first: 0, data }
     }
 
     /// Sum over the cells, in double precision and row order.
@@ -168,15 +295,125 @@ impl<R: Real, const D: usize> Field<R, D> {
 
     /// Smallest value of the cells.
     pub fn min(&self) -> R {
-        let first = self.data[self.layout.origin];
+        let first = self.data[self.origin];
         self.interior().flatten().fold(first, |m, &q| m.min(q))
     }
 
     /// Largest value of the cells.
     pub fn max(&self) -> R {
-        let first = self.data[self.layout.origin];
+        let first = self.data[self.origin];
         self.interior().flatten().fold(first, |m, &q| m.max(q))
     }
+}
+
+/// Some neighbouring slabs of a field, which one thread writes.
+pub(crate) struct Slabs<'a, R, const D: usize> {
+    layout: Layout<D>,
+    first: usize,
+    /// From half the padding before the first row on: halos of two slabs do not meet.
+    data: &'a mut [R],
+}
+
+impl<R: Real, const D: usize> Slabs<'_, R, D> {
+    /// Those before slab `slab` and those from it on.
+    pub(crate) fn split_at(self, slab: usize) -> (Self, Self) {
+        let Self { layout, first, data } = self;
+        let (lower, upper) = data.split_at_mut((slab - first) * layout.slab());
+        (Self { layout, first, data: lower }, Self { layout, first: slab, data: upper })
+    }
+
+    /// A row and its halo; `spare` if it is not of these slabs.
+    #[inline(always)]
+    pub(crate) fn line<'b>(&'b mut self, row: Row<D>, spare: &'b mut [R]) -> &'b mut [R] {
+        let slab = self.layout.slab();
+        let slabs = self.first as isize..(self.first + self.data.len() / slab) as isize;
+        if slabs.contains(&row.slab()) {
+            let at = self.layout.offset(row) - self.first * slab + PAD / 2;
+            &mut self.data[Layout::<D>::with_halo(at, self.layout.extent(row))]
+        } else {
+            &mut spare[..self.layout.extent(row) + 2 * HALO]
+        }
+    }
+}
+
+/// The last few slabs of a field that a sweep along the last axis leaves behind; slabs beyond the
+/// boundary have a place of their own.
+#[derive(Debug)]
+pub(crate) struct Ring<R, const D: usize>(Field<R, D>);
+
+impl<R: Real, const D: usize> Ring<R, D> {
+    /// A ring of `slabs` slabs, a power of two, of the rows of `layout`.
+    pub(crate) fn new(layout: Layout<D>, slabs: usize) -> Self {
+        assert!(slabs.is_power_of_two(), "a ring of {slabs} slabs");
+        let mut cells = layout.cells;
+        cells[D - 1] = slabs;
+        Self(Field::zeros(Layout::new(cells)))
+    }
+
+    /// A row and its halo, to be written.
+    #[inline(always)]
+    pub(crate) fn line(&mut self, row: Row<D>) -> &mut [R] {
+        let Field { layout, data, origin } = &mut self.0;
+        let at = *origin + layout.offset_in_ring(row);
+        &mut data[Layout::<D>::with_halo(at, layout.extent(row))]
+    }
+
+    /// As [`Field::row`].
+    #[inline(always)]
+    pub(crate) fn row(&self, row: Row<D>) -> &[R] {
+        let at = self.0.origin + self.0.layout.offset_in_ring(row);
+        &self.0.data[at..at + self.0.layout.extent(row)]
+    }
+
+    /// A row and its halo.
+    #[inline(always)]
+    pub(crate) fn whole(&self, row: Row<D>) -> &[R] {
+        let at = self.0.origin + self.0.layout.offset_in_ring(row);
+        &self.0.data[Layout::<D>::with_halo(at, self.0.layout.extent(row))]
+    }
+}
+
+/// What has rows: a [`Field`] or a [`Ring`].
+pub(crate) trait Lines<R, const D: usize>: Sync {
+    /// As many cells as a row has.
+    fn row(&self, row: Row<D>) -> &[R];
+}
+
+impl<R: Real, const D: usize> Lines<R, D> for Field<R, D> {
+    #[inline(always)]
+    fn row(&self, row: Row<D>) -> &[R] {
+        self.row(row)
+    }
+}
+
+impl<R: Real, const D: usize> Lines<R, D> for Ring<R, D> {
+    #[inline(always)]
+    fn row(&self, row: Row<D>) -> &[R] {
+        self.row(row)
+    }
+}
+
+/// Does `body` with the cells of rows given with their halos, and makes these periodic:
+/// `fill!(layout, \[a = lines, b = others\], kernel(a, b))`. A macro, because closures over arrays of
+/// rows are not inlined, and a kernel's row is short.
+macro_rules! fill {
+    ($layout:expr, [$($name:ident = $line:expr),+ $(,)?], $body:expr) => {{
+        $(let $name = $line;)+
+        let result = {
+            $(let $name = $crate::field::cells_of($name);)+
+            $body
+        };
+        $($layout.wrap($name);)+
+        result
+    }};
+}
+pub(crate) use fill;
+
+/// The cells of rows given with their halos.
+#[inline(always)]
+pub(crate) fn cells_of<R>(line: &mut [R]) -> &mut [R] {
+    let end = line.len() - HALO;
+    &mut line[HALO..end]
 }
 
 impl<const D: usize> From<&Grid<D>> for Layout<D> {
@@ -198,9 +435,8 @@ mod tests {
         q.set(number);
         for row in 0..layout.rows() {
             for axis in 0..D {
-                for shift in [-2i64, -1, 1, 2] {
-                    let offset = layout.row(row) as i64 + shift * layout.stride[axis] as i64;
-                    let shifted = q.row(offset as usize);
+                for shift in [-2, -1, 1, 2] {
+                    let shifted = q.row(layout.row(row).near(axis, shift));
                     for (i, &found) in shifted.iter().enumerate() {
                         let mut index = [i; D];
                         let mut rest = row;
@@ -208,8 +444,9 @@ mod tests {
                             index[a] = rest % cells[a];
                             rest /= cells[a];
                         }
-                        index[axis] =
-                            (index[axis] as i64 + shift).rem_euclid(cells[axis] as i64) as usize;
+                        index[axis] = (index[axis] as isize + shift)
+                            .rem_euclid(cells[axis] as isize)
+                            as usize;
                         assert_eq!(found, number(index), "{cells:?} axis {axis} shift {shift}");
                     }
                 }

@@ -6,10 +6,10 @@
 //! of the coincident fine faces; corrections are constant per coarse cell, which keeps the
 //! preconditioner symmetric and harmless across jumps of k.
 
-use crate::field::{Faces, Field, Layout};
+use crate::field::{Faces, Field, Layout, Row};
 use crate::grid::Grid;
 use crate::real::Real;
-use crate::rows::{Rows, by_axis, dot, max_abs, simd, sum_axes};
+use crate::rows::{Rows, by_axis, dot, max_abs, per_axis, simd, sum_axes};
 
 /// Precision of the preconditioner.
 type Fast = f32;
@@ -21,6 +21,9 @@ const SMOOTHED: [f64; 2] = [0.45, 2.0];
 /// Interval and degree on the coarsest grid, which nothing coarser helps.
 const COARSEST: ([f64; 2], usize) = ([0.08, 2.0], 8);
 
+/// Residual, in units of round-off of the first, below which one that stops falling will not fall.
+const ROUND_OFF: f64 = 1e4;
+
 /// How a solve went.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Solve {
@@ -31,7 +34,7 @@ pub struct Solve {
 }
 
 /// A solver for one grid; holds its scratch, allocates nothing while solving.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Poisson<R, const D: usize> {
     rows: Rows<D>,
     /// k / h² on faces.
@@ -44,7 +47,7 @@ pub struct Poisson<R, const D: usize> {
 }
 
 /// One grid of the multigrid hierarchy.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 struct Level<const D: usize> {
     rows: Rows<D>,
     /// How many of this level's cells make one of the next, along each axis.
@@ -86,7 +89,7 @@ impl<const D: usize> Level<D> {
         let (rows, weights) = (self.rows, &self.weights);
         rows.each([&mut self.inverse_diagonal], |o, [inverse]| {
             let weights: [[&[Fast]; 2]; D] =
-                std::array::from_fn(|a| [weights[a].row(o), weights[a].row(o + rows.stride(a))]);
+                per_axis!(D, |a| [weights[a].row(o), weights[a].row(o.near(a, 1))]);
             inverse_diagonal_row(inverse, weights);
         });
     }
@@ -96,7 +99,7 @@ impl<const D: usize> Level<D> {
     fn sweep(&mut self, keep: Fast, scale: Fast) {
         let Self { rows, weights, right, solution, other, step, inverse_diagonal, .. } = self;
         rows.each([&mut *other, step], |o, [new, step]| {
-            let stencil = Stencil::at(weights, solution, o, rows);
+            let stencil = Stencil::at(weights, solution, o);
             sweep_row(new, step, stencil, right.row(o), inverse_diagonal.row(o), keep, scale);
         });
         std::mem::swap(solution, other);
@@ -118,7 +121,7 @@ impl<const D: usize> Level<D> {
     fn set_residual(&mut self) {
         let Self { rows, weights, right, solution, other, .. } = self;
         rows.each([other], |o, [residual]| {
-            residual_row(residual, Stencil::at(weights, solution, o, rows), right.row(o));
+            residual_row(residual, Stencil::at(weights, solution, o), right.row(o));
         });
     }
 }
@@ -162,10 +165,10 @@ struct Stencil<'a, R, const D: usize> {
 
 impl<'a, R: Real, const D: usize> Stencil<'a, R, D> {
     #[inline(always)]
-    fn at(weights: &'a Faces<R, D>, x: &'a Field<R, D>, o: usize, rows: &Rows<D>) -> Self {
-        let axes = std::array::from_fn(|a| {
-            let (weights, s) = (&weights[a], rows.stride(a));
-            [weights.row(o), weights.row(o + s), x.row(o - s), x.row(o + s)]
+    fn at(weights: &'a Faces<R, D>, x: &'a Field<R, D>, o: Row<D>) -> Self {
+        let axes: [[&[R]; 4]; D] = per_axis!(D, |a| {
+            let (weights, below, above) = (&weights[a], o.near(a, -1), o.near(a, 1));
+            [weights.row(o), weights.row(above), x.row(below), x.row(above)]
         });
         Self { x: x.row(o), axes }
     }
@@ -350,6 +353,18 @@ impl<R: Real, const D: usize> Poisson<R, D> {
             self.rows.each([&mut self.weights[axis]], |o, [weights]| {
                 weight_row(weights, coefficient[axis].row(o), scale);
             });
+        }
+        self.prepare();
+    }
+
+    /// The face weights k/h², to be set by who calls [`Poisson::prepare`] next.
+    pub(crate) fn weights_mut(&mut self) -> &mut Faces<R, D> {
+        &mut self.weights
+    }
+
+    /// Makes what depends on the weights.
+    pub(crate) fn prepare(&mut self) {
+        for axis in 0..D {
             let fine = &self.weights[axis];
             let Level { rows, weights, .. } = &mut self.levels[0];
             rows.each([&mut weights[axis]], |o, [weights]| convert_row(weights, fine.row(o)));
@@ -363,7 +378,7 @@ impl<R: Real, const D: usize> Poisson<R, D> {
     }
 
     /// Solves for `x`, from what it is, until the largest residual is at most `tolerance`, or until
-    /// it stops falling, or for at most `most` iterations. The mean of `right` must vanish; that of
+    /// round-off stops it, or for at most `most` iterations. The mean of `right` must vanish; that of
     /// `x` is left at what it comes to.
     pub fn solve(
         &mut self,
@@ -378,7 +393,7 @@ impl<R: Real, const D: usize> Poisson<R, D> {
             .reduce(
                 [&mut self.residual],
                 &|o, [residual]| {
-                    residual_row(residual, Stencil::at(weights, start, o, &rows), right.row(o));
+                    residual_row(residual, Stencil::at(weights, start, o), right.row(o));
                     max_abs(residual)
                 },
                 &R::max,
@@ -386,9 +401,12 @@ impl<R: Real, const D: usize> Poisson<R, D> {
             .f64();
         let (mut alpha, mut old) = (0.0, 1.0);
         let mut best = worst;
+        // A residual that does not fall for a while is at its end only there: conjugate gradients
+        // lower another norm than the largest.
+        let round_off = ROUND_OFF * R::EPSILON.f64() * worst;
         let mut stalled = 0;
         for iteration in 0..most {
-            if worst <= tolerance || stalled >= 8 || !worst.is_finite() {
+            if worst <= tolerance || (stalled >= 8 && worst < round_off) || !worst.is_finite() {
                 return Solve { iterations: iteration, residual: worst };
             }
             self.precondition();
@@ -405,7 +423,7 @@ impl<R: Real, const D: usize> Poisson<R, D> {
             let curvature = rows.reduce(
                 [&mut *image],
                 &|o, [image]| {
-                    image_row(image, Stencil::at(weights, direction, o, &rows));
+                    image_row(image, Stencil::at(weights, direction, o));
                     dot(image, direction.row(o))
                 },
                 &|a, b| a + b,
@@ -492,41 +510,30 @@ simd! {
     }
 }
 
-/// Offsets of the fine rows that make coarse row `row`, and how many there are. With `face`, only
-/// those whose lower faces along that axis lie on the coarse cells' lower faces.
+/// The fine rows that make the coarse row `row`, and how many there are. With `face`, only those
+/// whose lower faces along that axis lie on the coarse cells' lower faces.
 fn fine_rows<const D: usize>(
     fine: &Level<D>,
     coarse: &Layout<D>,
-    row: usize,
+    row: Row<D>,
     face: Option<usize>,
-) -> ([usize; 4], usize) {
+) -> ([Row<D>; 4], usize) {
     let layout = fine.rows.layout();
-    let mut rest = row;
-    let mut offsets = [layout.row(0); 4];
+    let mut rest = coarse.number(row);
+    let mut rows = [layout.row(0); 4];
     let mut count = 1;
     for axis in 1..D {
-        let shift = rest % coarse.cells[axis] * fine.coarsening[axis] * layout.stride[axis];
+        let index = (rest % coarse.cells[axis] * fine.coarsening[axis]) as isize;
         rest /= coarse.cells[axis];
-        offsets.iter_mut().for_each(|offset| *offset += shift);
+        rows = rows.map(|row| row.near(axis, index));
         if fine.coarsening[axis] == 2 && face != Some(axis) {
             for i in 0..count {
-                offsets[count + i] = offsets[i] + layout.stride[axis];
+                rows[count + i] = rows[i].near(axis, 1);
             }
             count *= 2;
         }
     }
-    (offsets, count)
-}
-
-/// Number of a row from its offset.
-fn row_number<const D: usize>(layout: &Layout<D>, offset: usize) -> usize {
-    let mut rest = offset - layout.row(0);
-    let mut number = 0;
-    for axis in (1..D).rev() {
-        number = number * layout.cells[axis] + rest / layout.stride[axis];
-        rest %= layout.stride[axis];
-    }
-    number
+    (rows, count)
 }
 
 /// Means of the fine residual (in `other`), into the coarse right-hand side.
@@ -534,10 +541,10 @@ fn restrict<const D: usize>(fine: &Level<D>, right: &mut Field<Fast, D>) {
     let layout = right.layout;
     let coarse = Rows::new(layout, false);
     coarse.each([right], |o, [right]| {
-        let (offsets, count) = fine_rows(fine, &layout, row_number(&layout, o), None);
+        let (fine_rows, count) = fine_rows(fine, &layout, o, None);
         right.fill(0.0);
-        for &offset in &offsets[..count] {
-            let residual = fine.other.row(offset);
+        for &row in &fine_rows[..count] {
+            let residual = fine.other.row(row);
             if fine.coarsening[0] == 2 {
                 for (right, pair) in right.iter_mut().zip(residual.chunks_exact(2)) {
                     *right += pair[0] + pair[1];
@@ -559,14 +566,14 @@ fn prolong<const D: usize>(coarse: &Level<D>, fine: &mut Level<D>) {
     let layout = rows.layout();
     let coarse_layout = coarse.rows.layout();
     rows.each([solution], |o, [solution]| {
-        let mut rest = row_number(&layout, o);
-        let mut offset = coarse_layout.row(0);
+        let mut rest = layout.number(o);
+        let mut from = coarse_layout.row(0);
         for axis in 1..D {
             let index = rest % layout.cells[axis];
             rest /= layout.cells[axis];
-            offset += index / coarsening[axis] * coarse_layout.stride[axis];
+            from = from.near(axis, (index / coarsening[axis]) as isize);
         }
-        let correction = coarse.solution.row(offset);
+        let correction = coarse.solution.row(from);
         if coarsening[0] == 2 {
             for (pair, correction) in solution.chunks_exact_mut(2).zip(correction) {
                 pair[0] += correction;
@@ -589,11 +596,11 @@ fn coarsen_weights<const D: usize>(fine: &Level<D>, coarse: &mut Level<D>) {
         // Weights carry 1/h².
         let wider = if fine.coarsening[axis] == 2 { 0.25 } else { 1.0 };
         coarse.rows.each([&mut coarse.weights[axis]], |o, [weights]| {
-            let (offsets, count) = fine_rows(fine, &layout, row_number(&layout, o), Some(axis));
+            let (fine_rows, count) = fine_rows(fine, &layout, o, Some(axis));
             weights.fill(0.0);
             let along_row = if fine.coarsening[0] == 2 && axis > 0 { 2 } else { 1 };
-            for &offset in &offsets[..count] {
-                let row = source.row(offset);
+            for &row in &fine_rows[..count] {
+                let row = source.row(row);
                 match (fine.coarsening[0], axis) {
                     (2, 0) => {
                         for (w, pair) in weights.iter_mut().zip(row.chunks_exact(2)) {
@@ -656,7 +663,7 @@ mod tests {
         let rows = Rows::new(layout, false);
         let mut image = Field::<R, D>::zeros(layout);
         rows.each([&mut image], |o, [image]| {
-            image_row(image, Stencil::at(&poisson.weights, &x, o, &rows));
+            image_row(image, Stencil::at(&poisson.weights, &x, o));
         });
         let worst = image
             .interior()

@@ -8,7 +8,7 @@
 //! Reductions follow one fixed tree over the rows, so results do not depend on the number of
 //! threads.
 
-use crate::field::{Field, Layout};
+use crate::field::{Field, Layout, Row, cells_of};
 use crate::real::Real;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -101,6 +101,17 @@ macro_rules! simd {
 }
 pub(crate) use simd;
 
+/// What `work` returns, done with `threads` threads for the rows of parallel fields.
+///
+/// # Errors
+/// The threads cannot be started.
+pub fn on_threads<T: Send>(
+    threads: usize,
+    work: impl FnOnce() -> T + Send,
+) -> Result<T, rayon::ThreadPoolBuildError> {
+    Ok(rayon::ThreadPoolBuilder::new().num_threads(threads).build()?.install(work))
+}
+
 /// The rows of a layout, and how they are shared out.
 #[derive(Clone, Copy, Debug)]
 pub struct Rows<const D: usize> {
@@ -125,18 +136,12 @@ impl<const D: usize> Rows<D> {
         self.layout
     }
 
-    /// Distance in memory between neighbours along `axis`.
-    #[inline(always)]
-    pub fn stride(&self, axis: usize) -> usize {
-        self.layout.stride[axis]
-    }
-
-    /// Calls `kernel(offset, rows)` for every row; `rows` are that row of each output. On return
-    /// the outputs' halos are periodic.
+    /// Calls `kernel(row, lines)` for every row; `lines` are that row of each output. On return the
+    /// outputs' halos are periodic.
     pub fn each<R: Real, const K: usize>(
         &self,
         outputs: [&mut Field<R, D>; K],
-        kernel: impl Fn(usize, [&mut [R]; K]) + Sync,
+        kernel: impl Fn(Row<D>, [&mut [R]; K]) + Sync,
     ) {
         self.reduce(outputs, &kernel, &|(), ()| ());
     }
@@ -146,27 +151,23 @@ impl<const D: usize> Rows<D> {
     pub fn reduce<R: Real, S: Send, const K: usize>(
         &self,
         mut outputs: [&mut Field<R, D>; K],
-        kernel: &(impl Fn(usize, [&mut [R]; K]) -> S + Sync),
+        kernel: &(impl Fn(Row<D>, [&mut [R]; K]) -> S + Sync),
         combine: &(impl Fn(S, S) -> S + Sync),
     ) -> S {
         for output in &outputs {
             assert_eq!(output.layout, self.layout, "an output of another layout");
         }
-        let shared = Outputs(outputs.each_mut().map(|field| field.data.as_mut_ptr()));
-        let result = self.tree(0, self.layout.rows(), &shared, kernel, combine);
-        for output in outputs {
-            output.wrap_rows();
-        }
-        result
+        let shared = Outputs(outputs.each_mut().map(|field| field.memory()));
+        self.tree(0, self.layout.rows(), &shared, kernel, combine)
     }
 
     /// Combines a number per row, without outputs.
     pub fn fold<S: Send>(
         &self,
-        kernel: &(impl Fn(usize) -> S + Sync),
+        kernel: &(impl Fn(Row<D>) -> S + Sync),
         combine: &(impl Fn(S, S) -> S + Sync),
     ) -> S {
-        self.reduce::<f64, S, 0>([], &|offset, []| kernel(offset), combine)
+        self.reduce::<f64, S, 0>([], &|row, []| kernel(row), combine)
     }
 
     fn tree<R: Real, S: Send, const K: usize>(
@@ -174,7 +175,7 @@ impl<const D: usize> Rows<D> {
         begin: usize,
         end: usize,
         outputs: &Outputs<R, K>,
-        kernel: &(impl Fn(usize, [&mut [R]; K]) -> S + Sync),
+        kernel: &(impl Fn(Row<D>, [&mut [R]; K]) -> S + Sync),
         combine: &(impl Fn(S, S) -> S + Sync),
     ) -> S {
         if end - begin <= LEAF {
@@ -187,8 +188,7 @@ impl<const D: usize> Rows<D> {
         let middle = begin + (end - begin).div_ceil(2).next_multiple_of(LEAF);
         let lower = || self.tree(begin, middle, outputs, kernel, combine);
         let upper = || self.tree(middle, end, outputs, kernel, combine);
-        let (lower, upper) =
-            if self.parallel { rayon::join(lower, upper) } else { (lower(), upper()) };
+        let (lower, upper) = join(self.parallel, lower, upper);
         combine(lower, upper)
     }
 
@@ -197,20 +197,25 @@ impl<const D: usize> Rows<D> {
         &self,
         row: usize,
         outputs: &Outputs<R, K>,
-        kernel: &impl Fn(usize, [&mut [R]; K]) -> S,
+        kernel: &impl Fn(Row<D>, [&mut [R]; K]) -> S,
     ) -> S {
-        let offset = self.layout.row(row);
-        let n = self.layout.cells[0];
-        // SAFETY: `reduce` holds the outputs mutably, each with memory for this layout, and `tree`
-        // visits every row once; rows with their halo do not overlap.
-        let rows =
-            outputs.0.map(|data| unsafe { std::slice::from_raw_parts_mut(data.add(offset), n) });
-        let result = kernel(offset, rows);
-        let span = self.layout.row_with_halo(offset);
-        for data in outputs.0 {
-            // SAFETY: as above; the slices handed to the kernel are gone.
-            let row = unsafe { std::slice::from_raw_parts_mut(data.add(span.start), span.len()) };
-            Layout::<D>::wrap_row(row);
+        let row = self.layout.row(row);
+        let span = self.layout.span(row);
+        let mut lines = [(); K].map(|()| <&mut [R]>::default());
+        for (line, memory) in lines.iter_mut().zip(outputs.0) {
+            // SAFETY: `reduce` holds the outputs mutably, each with memory for this layout from
+            // `memory` on and a halo before it, and `tree` visits every row once; rows with their
+            // halos do not overlap.
+            *line =
+                unsafe { std::slice::from_raw_parts_mut(memory.offset(span.start), span.len()) };
+        }
+        let mut cells = [(); K].map(|()| <&mut [R]>::default());
+        for (cells, line) in cells.iter_mut().zip(&mut lines) {
+            *cells = cells_of(line);
+        }
+        let result = kernel(row, cells);
+        for line in lines {
+            self.layout.wrap(line);
         }
         result
     }
@@ -235,6 +240,44 @@ pub(crate) fn each_chunk<T: Send, S>(
             kernel(&mut scratch, place, chunk);
         }
     }
+}
+
+/// Both results; on two threads of the current pool if `parallel`.
+pub(crate) fn join<A: Send, B: Send>(
+    parallel: bool,
+    a: impl FnOnce() -> A + Send,
+    b: impl FnOnce() -> B + Send,
+) -> (A, B) {
+    if parallel { rayon::join(a, b) } else { (a(), b()) }
+}
+
+/// Threads of the current pool.
+pub(crate) fn threads() -> usize {
+    rayon::current_num_threads()
+}
+
+/// One value for each of the `$d` axes. A macro, because `from_fn` with a closure that looks up rows
+/// is not inlined, and a row is short.
+macro_rules! per_axis {
+    ($d:ident, |$axis:ident| $value:expr) => {{
+        let mut all = [Default::default(); $d];
+        let mut $axis = 0;
+        while $axis < $d {
+            all[$axis] = $value;
+            $axis += 1;
+        }
+        all
+    }};
+}
+pub(crate) use per_axis;
+
+/// The slices, all cut to `n`.
+#[inline(always)]
+pub(crate) fn cut<R, const K: usize>(mut slices: [&[R]; K], n: usize) -> [&[R]; K] {
+    for slice in &mut slices {
+        *slice = &slice[..n];
+    }
+    slices
 }
 
 /// The slices of each axis, all cut to `n`, as three whose third is idle in two dimensions.
@@ -350,7 +393,7 @@ mod tests {
         let mut q = Field::<f32, 2>::zeros(layout);
         Rows::new(layout, true).each([&mut q], |_, [q]| q.iter_mut().for_each(|q| *q += 1.0));
         assert_eq!(q.sum(), 120.0);
-        assert!(q.row(layout.row(0) - 2 * layout.stride[1]).iter().all(|&q| q == 1.0));
-        assert!(q.row(layout.row(11) + 2).iter().all(|&q| q == 1.0));
+        assert!(q.row(layout.row(0).near(1, -2)).iter().all(|&q| q == 1.0));
+        assert!(q.row(layout.row(11).near(0, 2)).iter().all(|&q| q == 1.0));
     }
 }

@@ -32,7 +32,8 @@ pub struct Signals {
 }
 
 impl Signals {
-    fn push<const D: usize>(&mut self, time: f64, means: &Means<D>) {
+    /// Adds the `means` at `time` \[s\].
+    pub fn push<const D: usize>(&mut self, time: f64, means: &Means<D>) {
         self.time.push(time);
         self.slip.push(means.slip);
         self.particle_slip.push(means.particle_slip);
@@ -62,8 +63,9 @@ pub struct Cost {
     pub pressure_iterations: u64,
     /// Gas sub-steps in all.
     pub gas_steps: u64,
-    /// Steps limited by growth, solids advection, gas advection, sound, the longest step allowed.
-    pub limited_by: [u64; 5],
+    /// Steps limited by growth, solids advection, gas advection, sound, the longest step allowed,
+    /// viscosity and conductivity.
+    pub limited_by: [u64; 6],
     /// Largest volume fraction that a step left unaccounted for in a cell.
     pub volume_residual: f64,
     /// Change of the solids mass over the run, relative.
@@ -101,10 +103,7 @@ pub enum SimulateError {
         time: f64,
     },
     /// A step failed.
-    #[error(
-        "the box of mean solids fraction {solids_fraction} failed; a finer or larger grid or \
-         another seed may do"
-    )]
+    #[error("the box of mean solids fraction {solids_fraction} failed")]
     Step {
         /// Mean solids fraction of the box.
         solids_fraction: f64,
@@ -166,6 +165,41 @@ pub fn samples(case: &Case) -> u64 {
     (case.run.duration / case.run.sample_interval).round().max(1.0) as u64
 }
 
+/// What `case` asks of the two-fluid model in its box of mean solids fraction `solids_fraction`.
+pub fn setup(case: &Case, solids_fraction: f64, parallel: bool) -> Setup {
+    let Case { powder, gas, physics, run, .. } = case;
+    Setup {
+        powder: *powder,
+        gas: *gas,
+        gravity: physics.gravity,
+        drag: physics.drag,
+        radial_distribution: physics.radial_distribution,
+        friction: physics.friction,
+        solids_fraction,
+        perturbation: run.perturbation,
+        seed: run.seed,
+        parallel,
+    }
+}
+
+/// How `case` asks for its fields to be sampled, in flight.
+pub fn sampling<const D: usize>(case: &Case, parallel: bool) -> Sampling<D> {
+    let Case { powder, gas, filter, run, .. } = case;
+    let slip_bin = filter.markers.contains(&MarkerChoice::Slip).then_some(filter.slip_bin);
+    Sampling {
+        scales: case.scales(),
+        gas_density: gas.density,
+        bins: Bins::new(filter.solids_fraction_bin, powder.max_packing, slip_bin),
+        kernel: Kernel::Box,
+        widths: filter.widths.clone(),
+        block_duration: SAMPLES_PER_BLOCK * run.sample_interval,
+        space: [1; D],
+        periodic: [true; D],
+        closest: CLOSEST,
+        parallel,
+    }
+}
+
 /// Simulates the box of mean solids fraction `solids_fraction`, filtering as it goes. `parallel`
 /// lets a step use the threads of the current pool. `watch` is called after each sample with the
 /// signals so far and the number of steps that this call has done.
@@ -204,44 +238,16 @@ pub fn simulate_from<R: Real, const D: usize>(
     mut keep: impl FnMut(Moment, &Underway),
 ) -> Result<Simulated, SimulateError> {
     let begin = std::time::Instant::now();
-    let Case { powder, gas, domain, physics, filter, run, .. } = case;
+    let Case { powder, gas, domain, physics, run, .. } = case;
     let grid = Grid::new(
         std::array::from_fn::<_, D, _>(|axis| domain.size[axis]),
         std::array::from_fn(|axis| domain.cells[axis]),
     );
     assert_eq!(domain.size.len(), D, "a case of another dimension");
     let scales = Scales::new(powder, gas, physics.gravity);
-    let mut flow = TwoFluid::<R, D>::new(
-        grid,
-        Setup {
-            powder: *powder,
-            gas: *gas,
-            gravity: physics.gravity,
-            drag: physics.drag,
-            radial_distribution: physics.radial_distribution,
-            friction: physics.friction,
-            solids_fraction,
-            perturbation: run.perturbation,
-            seed: run.seed,
-            parallel,
-        },
-    );
-    let slip_bin = filter.markers.contains(&MarkerChoice::Slip).then_some(filter.slip_bin);
-    let bins = Bins::new(filter.solids_fraction_bin, powder.max_packing, slip_bin);
+    let mut flow = TwoFluid::<R, D>::new(grid, setup(case, solids_fraction, parallel));
     let law = physics.drag.law(gas, powder);
-    let block = SAMPLES_PER_BLOCK * run.sample_interval;
-    let sampling = Sampling {
-        scales,
-        gas_density: gas.density,
-        bins,
-        kernel: Kernel::Box,
-        widths: filter.widths.clone(),
-        block_duration: block,
-        space: [1; D],
-        periodic: [true; D],
-        closest: CLOSEST,
-        parallel,
-    };
+    let sampling = sampling(case, parallel);
     let mut sampler = Sampler::new(grid, law, sampling)?;
 
     let mut fine = FineFields::zeros(grid);
@@ -309,6 +315,7 @@ fn place(limit: Limit) -> usize {
         Limit::Gas => 2,
         Limit::Sound => 3,
         Limit::Longest => 4,
+        Limit::Diffusion => 5,
     }
 }
 

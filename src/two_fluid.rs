@@ -19,17 +19,21 @@
 //! Momentum of the mixture is conserved to round-off, because every exchange is one number with
 //! two signs.
 
+mod clock;
 mod exchange;
+mod failure;
 mod granular;
+mod imposed;
 mod state;
 mod stress;
+mod sweep;
 mod transport;
 
 use crate::case::{
     DragChoice, FrictionChoice, RadialDistributionChoice, with_drag, with_friction,
     with_radial_distribution,
 };
-use crate::field::{Faces, Field, Layout};
+use crate::field::{Faces, Field, Layout, Row};
 use crate::fine::{FineFields, symmetric_index};
 use crate::grid::Grid;
 use crate::laws::drag::DragLaw;
@@ -37,13 +41,17 @@ use crate::laws::kinetic_theory::KineticTheory;
 use crate::laws::scales::{Gas, Powder, homogeneous_slip};
 use crate::poisson::Poisson;
 use crate::real::Real;
-use crate::rows::Rows;
+use crate::rows::{Rows, join, per_axis, threads};
+pub use clock::STAGES;
+use clock::{Clock, Stage};
 use exchange::Inertia;
-use granular::{Closures, Contact, ContactRow, DragRow};
+pub use failure::{Place, StepError};
+use granular::{Contact, ContactRow, DragRow};
+pub use imposed::Quantity;
+use imposed::Sources;
 use rand::{RngExt, SeedableRng};
 pub use state::StateError;
-use stress::Stress;
-use transport::{Fluxes, Share};
+use sweep::{After, Before, Fastest, Sweep};
 
 /// Solids fraction added to the solids' inertia (not to their weight or volume), so that velocity
 /// and temperature of an empty cell are defined. It takes part in no force and is not carried.
@@ -54,9 +62,6 @@ const GHOST: f64 = 1e-7;
 /// 0.4 agree within their errors (values at the old time instead give false states at 0.8).
 const COURANT: f64 = 0.8;
 
-/// Courant number up to which limited slopes alone keep φ positive.
-const SAFE_COURANT: f64 = 0.5;
-
 /// Most gas sub-steps in a step.
 const MOST_GAS_STEPS: usize = 4;
 
@@ -64,19 +69,27 @@ const MOST_GAS_STEPS: usize = 4;
 /// on the norm that [`TwoFluid::step`] uses.
 const SOUND_COURANT: f64 = 0.7;
 
-/// Bound on viscosity and conductivity per mass, times dt and Σ 1/h²: an explicit step is stable,
-/// and loses kinetic energy, at any viscosity. Touches only nearly empty cells.
+/// Largest viscosity and conductivity per mass, times dt and Σ 1/h², at which an explicit step is
+/// stable and loses kinetic energy. Limits the step, and in nearly empty cells, whose mean free path
+/// would stop every step, the diffusivities themselves.
 const DIFFUSION: f64 = 0.36;
+
+/// Share of the mean solids fraction below which a cell is nearly empty.
+const NEARLY_EMPTY: f64 = 0.5;
 
 /// Growth of the time step from one step to the next.
 const GROWTH: f64 = 1.1;
 
-/// First time step, and the largest ever, in u_t/g.
+/// First time step, the largest ever, and the one below which a run would not end, in u_t/g.
 const FIRST_STEP: f64 = 1e-3;
 const LONGEST_STEP: f64 = 0.05;
+const SHORTEST_STEP: f64 = 1e-6;
 
 /// Remaining divergence of the total volume flux, times dt, that ends the pressure iteration.
 const TOLERANCE: f64 = 1e-3;
+
+/// Fewest slabs of a part of the box that a thread of its own makes.
+const LEAST_SLABS: usize = 16;
 
 /// Most pressure iterations in a step.
 const MOST_ITERATIONS: usize = 60;
@@ -129,6 +142,8 @@ pub enum Limit {
     Sound,
     /// The longest step allowed.
     Longest,
+    /// Viscosity or conductivity of the solids.
+    Diffusion,
 }
 
 /// How a step went.
@@ -144,38 +159,6 @@ pub struct StepReport {
     pub iterations: usize,
     /// Volume that the pressure left unaccounted for: largest |∇·(φ u_s + (1-φ) u_g)| dt \[-\].
     pub volume_residual: f64,
-}
-
-/// A step that failed; the state is of no use any more.
-#[derive(Clone, Debug, thiserror::Error)]
-pub enum StepError {
-    /// The pressure iteration did not converge.
-    #[error(
-        "the gas pressure did not converge at t = {time:.6} s: after {iterations} iterations \
-         {residual:.1e} of a cell's volume is unaccounted for (dt = {dt:.2e} s, limited by {limit:?})"
-    )]
-    Pressure {
-        /// Simulated time \[s\].
-        time: f64,
-        /// Iterations done.
-        iterations: usize,
-        /// Remaining divergence times dt.
-        residual: f64,
-        /// Time step \[s\].
-        dt: f64,
-        /// What limited the step.
-        limit: Limit,
-    },
-    /// A field is no longer finite.
-    #[error("the fields are not finite at t = {time:.6} s (dt = {dt:.2e} s, limited by {limit:?})")]
-    NotFinite {
-        /// Simulated time \[s\].
-        time: f64,
-        /// Time step \[s\].
-        dt: f64,
-        /// What limited the step.
-        limit: Limit,
-    },
 }
 
 /// Means over the box at one instant.
@@ -207,8 +190,14 @@ pub struct TwoFluid<R, const D: usize> {
     time: f64,
     steps: u64,
     next_dt: (f64, Limit),
+    /// Largest Σ |u_a|/h_a of the gas in a cell \[1/s\].
+    gas_speed: f64,
+    /// What the parts of the steps cost, if [`TwoFluid::with_clock`] asked.
+    clock: Option<Clock>,
     /// [`TOLERANCE`], or what [`TwoFluid::with_tolerance`] set.
     tolerance: f64,
+    /// What [`TwoFluid::set_sources`] set.
+    sources: Option<Sources<R, D>>,
 
     phi: Field<R, D>,
     theta: Field<R, D>,
@@ -223,11 +212,10 @@ pub struct TwoFluid<R, const D: usize> {
     theta_new: Field<R, D>,
     solids_new: Faces<R, D>,
     gas_new: Faces<R, D>,
-    fluxes: Fluxes<R, D>,
-    closures: Closures<R, D>,
-    stress: Stress<R, D>,
-    solids_pressure: Field<R, D>,
+    /// β/φ, which the pressure's correction asks for again.
+    drag: Field<R, D>,
     right: Field<R, D>,
+    sweeps: Vec<Sweep<R, D>>,
     poisson: Poisson<R, D>,
 }
 
@@ -303,7 +291,10 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             time: 0.0,
             steps: 0,
             next_dt: (FIRST_STEP * time_scale, Limit::Growth),
+            gas_speed: slip / grid.spacing[D - 1],
+            clock: None,
             tolerance: TOLERANCE,
+            sources: None,
             phi,
             theta,
             pressure: zeros(),
@@ -313,15 +304,9 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             theta_new: zeros(),
             solids_new: Field::zero_faces(layout),
             gas_new: Field::zero_faces(layout),
-            fluxes: Fluxes {
-                solids: Field::zero_faces(layout),
-                gas: Field::zero_faces(layout),
-                heat: Field::zero_faces(layout),
-            },
-            closures: Closures::zeros(layout),
-            stress: Stress::zeros(layout),
-            solids_pressure: zeros(),
+            drag: zeros(),
             right: zeros(),
+            sweeps: sweeps(layout, setup.parallel),
             increment: zeros(),
             poisson: Poisson::new(&grid, setup.parallel),
         }
@@ -335,111 +320,74 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         self
     }
 
+    /// With a clock, for [`TwoFluid::stage_seconds`].
+    #[must_use]
+    pub fn with_clock(mut self) -> Self {
+        self.clock = Some(Clock::new());
+        self
+    }
+
+    /// Seconds that each of [`STAGES`] took in all steps since [`TwoFluid::with_clock`].
+    pub fn stage_seconds(&self) -> Option<[f64; STAGES.len()]> {
+        self.clock.as_ref().map(|clock| clock.seconds)
+    }
+
     /// Advances by one time step towards the time `until` \[s\], chosen by stability and such that
     /// equal steps end there.
     ///
     /// # Errors
-    /// When the pressure does not converge or a field is no longer finite.
+    /// When the pressure does not converge, a field is no longer finite, or the time step collapses.
     ///
     /// # Panics
     /// When `until` is not in the future.
     pub fn step(&mut self, until: f64) -> Result<StepReport, StepError> {
         assert!(until > self.time, "a step from {} s to {until} s", self.time);
+        Clock::start(&mut self.clock);
         let rows = self.rows;
         let (longest, limit) = self.next_dt;
         let remaining = until - self.time;
         let left = (remaining / longest - 1e-9).ceil().max(1.0);
         let dt = if left.is_finite() { remaining / left } else { longest };
         let inverse_spacing = self.grid.spacing.map(|h| R::of(1.0 / h));
-        let courant = self.grid.spacing.map(|h| R::of(dt / h));
         let inverse_square: f64 = self.grid.spacing.iter().map(|h| 1.0 / (h * h)).sum();
-
-        self.fluxes.set(&rows, &self.phi, &self.theta, &self.solids, &self.gas, courant);
-        if dt * self.largest_courant(&self.solids) > SAFE_COURANT {
-            self.fluxes.limit(&rows, &mut self.right, &self.phi, courant);
-        }
-
-        let transported = [&mut self.phi_new, &mut self.theta_new];
-        transport::advect(&rows, transported, &self.phi, &self.theta, &self.fluxes, courant);
-
-        let fractions = [&self.phi, &self.phi_new];
-        for axis in 0..D {
-            let new = &mut self.solids_new[axis];
-            let (old, flux) = (&self.solids, &self.fluxes.solids);
-            let shares = Share::solids();
-            transport::advect_momentum(&rows, axis, new, old, flux, fractions, shares, courant);
-        }
-        let gas_courant = dt * self.largest_courant(&self.gas);
+        let gas_courant = dt * self.gas_speed;
         let gas_steps = ((gas_courant / COURANT).ceil() as usize).clamp(1, MOST_GAS_STEPS);
-        let part = 1.0 / gas_steps as f64;
-        for n in 0..gas_steps {
-            let shares = [Share::gas(n as f64 * part), Share::gas((n + 1) as f64 * part)];
-            let courant = courant.map(|c| c * R::of(part));
-            for axis in 0..D {
-                let new = &mut self.gas_new[axis];
-                let (old, flux) = (&self.gas, &self.fluxes.gas);
-                transport::advect_momentum(&rows, axis, new, old, flux, fractions, shares, courant);
-            }
-            std::mem::swap(&mut self.gas, &mut self.gas_new);
-        }
-        std::mem::swap(&mut self.phi, &mut self.phi_new);
 
-        let cap = R::of(DIFFUSION / (dt * inverse_square));
-        let velocities = [&self.solids_new, &self.gas];
-        self.closures.set(&rows, &self.medium, &self.phi, &self.theta_new, velocities, cap);
-
-        let Closures { viscosity, bulk_viscosity, .. } = &self.closures;
-        self.stress.set(&rows, &self.solids_new, viscosity, bulk_viscosity, inverse_spacing);
-        let impulse = R::of(dt) / self.medium.solids_density;
-        for axis in 0..D {
-            let (new, old) = (&mut self.solids[axis], &self.solids_new[axis]);
-            self.stress.apply(&rows, axis, new, old, &self.phi, impulse, inverse_spacing);
-        }
-        let velocities = [&self.solids_new, &self.solids];
-        let [before, after] = velocities;
-        self.stress.set_shear_heating(&rows, before, after, &self.phi, inverse_spacing);
-
-        let sound = granular::balance(
-            &rows,
-            [&mut self.theta, &mut self.solids_pressure],
-            &self.medium,
-            &self.phi,
-            &self.theta_new,
-            &self.closures,
-            &self.stress,
-            velocities,
+        let before = Before {
+            layout: rows.layout(),
+            medium: &self.medium,
+            phi: &self.phi,
+            theta: &self.theta,
+            pressure: &self.pressure,
+            solids: &self.solids,
+            gas: &self.gas,
+            buoyancy: self.buoyancy,
+            dt: R::of(dt),
+            gas_steps,
+            courant: self.grid.spacing.map(|h| R::of(dt / h)),
             inverse_spacing,
-            R::of(dt),
-        );
+            most_diffusivity: R::of(DIFFUSION / (dt * inverse_square)),
+            nearly_empty: R::of(NEARLY_EMPTY * self.setup.solids_fraction),
+            sources: self.sources.as_ref(),
+        };
+        let after = After {
+            phi: self.phi_new.slabs(),
+            theta: self.theta_new.slabs(),
+            solids: self.solids_new.each_mut().map(Field::slabs),
+            gas: self.gas_new.each_mut().map(Field::slabs),
+            drag: self.drag.slabs(),
+            weights: self.poisson.weights_mut().each_mut().map(Field::slabs),
+            right: self.right.slabs(),
+        };
+        let fastest = sweep_all(&mut self.sweeps, &before, after);
+        std::mem::swap(&mut self.phi, &mut self.phi_new);
+        std::mem::swap(&mut self.theta, &mut self.theta_new);
+        std::mem::swap(&mut self.solids, &mut self.solids_new);
+        std::mem::swap(&mut self.gas, &mut self.gas_new);
 
-        let inertia = Inertia::new(&self.medium, R::of(dt));
-        let drag = &self.closures.drag_per_fraction;
-        for axis in 0..D {
-            // The fluxes have done their work: their memory now holds the total flux and its
-            // response to the pressure.
-            let outputs = [
-                &mut self.solids[axis],
-                &mut self.gas[axis],
-                &mut self.fluxes.solids[axis],
-                &mut self.fluxes.gas[axis],
-            ];
-            let buoyancy = if axis + 1 == D { self.buoyancy } else { [R::ZERO; 2] };
-            exchange::predict(
-                &rows,
-                axis,
-                outputs,
-                &self.phi,
-                drag,
-                &self.solids_pressure,
-                &self.pressure,
-                inertia,
-                buoyancy,
-                inverse_spacing[axis],
-            );
-        }
+        Clock::lap(&mut self.clock, Stage::Sweep);
 
-        exchange::convergence(&rows, &mut self.right, &self.fluxes.solids, inverse_spacing);
-        self.poisson.set_coefficient(&self.fluxes.gas);
+        self.poisson.prepare();
         // The increment starts from that of the step before, which saves a third of the iterations.
         let solve = self.poisson.solve(
             &mut self.increment,
@@ -447,15 +395,25 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             self.tolerance / dt,
             MOST_ITERATIONS,
         );
+        Clock::lap(&mut self.clock, Stage::Pressure);
+
+        let inertia = Inertia::new(&self.medium, R::of(dt));
+        let (phi, drag, increment) = (&self.phi, &self.drag, &self.increment);
         for axis in 0..D {
-            let velocities = [&mut self.solids[axis], &mut self.gas[axis]];
-            let (increment, spacing) = (&self.increment, inverse_spacing[axis]);
-            exchange::correct(
-                &rows, axis, velocities, &self.phi, drag, increment, inertia, spacing,
-            );
+            rows.each([&mut self.solids[axis], &mut self.gas[axis]], |row, [us, ug]| {
+                let below = row.near(axis, -1);
+                exchange::correct_row(
+                    us,
+                    ug,
+                    [phi.row(below), phi.row(row)],
+                    [drag.row(below), drag.row(row)],
+                    [increment.row(below), increment.row(row)],
+                    inertia,
+                    inverse_spacing[axis],
+                );
+            });
         }
-        let increment = &self.increment;
-        rows.each([&mut self.pressure], |o, [p]| exchange::add_row(p, increment.row(o)));
+        rows.each([&mut self.pressure], |row, [p]| exchange::add_row(p, increment.row(row)));
 
         // The last step ends there to the bit, whatever the sum of the steps rounds to.
         self.time = if left == 1.0 { until } else { self.time + dt };
@@ -467,36 +425,39 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             iterations: solve.iterations,
             volume_residual: solve.residual * dt,
         };
-        let StepReport { iterations, volume_residual: residual, .. } = report;
-        let time = self.time;
-        let sound = sound.f64();
-        if !(residual.is_finite() && sound.is_finite()) {
-            return Err(StepError::NotFinite { time, dt, limit });
+        let (sound, diffusivity) = (fastest.sound_squared.f64(), fastest.diffusivity.f64());
+        let finite = report.volume_residual.is_finite() && sound.is_finite();
+        if !(finite && diffusivity.is_finite() && self.is_finite()) {
+            return Err(self.not_finite(&report));
         }
         // Round-off stops single precision above the tolerance; that much is no failure.
-        if residual > 100.0 * TOLERANCE {
-            return Err(StepError::Pressure { time, iterations, residual, dt, limit });
+        if report.volume_residual > 100.0 * TOLERANCE {
+            return Err(self.not_converged(&report));
         }
-        self.next_dt = self.choose_step(longest, sound, inverse_square);
+        self.gas_speed = self.largest_courant(&self.gas);
+        self.next_dt = self.choose_step(longest, sound, diffusivity, inverse_square);
+        if self.next_dt.0 < SHORTEST_STEP * self.time_scale() {
+            return Err(self.collapsed());
+        }
+        Clock::lap(&mut self.clock, Stage::Correction);
         Ok(report)
     }
 
     /// The longest next time step after one that might have been `longest`, and what limits it.
-    fn choose_step(&self, longest: f64, sound_squared: f64, inverse_square: f64) -> (f64, Limit) {
-        let scales = crate::laws::scales::Scales::new(
-            &self.setup.powder,
-            &self.setup.gas,
-            self.setup.gravity,
-        );
+    fn choose_step(
+        &self,
+        longest: f64,
+        sound_squared: f64,
+        diffusivity: f64,
+        inverse_square: f64,
+    ) -> (f64, Limit) {
         let tiny = 1e-300;
         [
             (COURANT / (self.largest_courant(&self.solids) + tiny), Limit::Solids),
-            (
-                MOST_GAS_STEPS as f64 * COURANT / (self.largest_courant(&self.gas) + tiny),
-                Limit::Gas,
-            ),
+            (MOST_GAS_STEPS as f64 * COURANT / (self.gas_speed + tiny), Limit::Gas),
             (SOUND_COURANT / (sound_squared * inverse_square + tiny).sqrt(), Limit::Sound),
-            (LONGEST_STEP * scales.time(), Limit::Longest),
+            (DIFFUSION / (diffusivity * inverse_square + tiny), Limit::Diffusion),
+            (LONGEST_STEP * self.time_scale(), Limit::Longest),
         ]
         .into_iter()
         .fold(
@@ -505,15 +466,20 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         )
     }
 
+    /// u_t/g \[s\].
+    fn time_scale(&self) -> f64 {
+        let Setup { powder, gas, gravity, .. } = &self.setup;
+        crate::laws::scales::Scales::new(powder, gas, *gravity).time()
+    }
+
     /// Largest Σ |u_a|/h_a of a cell \[1/s\].
     fn largest_courant(&self, velocity: &Faces<R, D>) -> f64 {
         let rows = self.rows;
         let inverse_spacing = self.grid.spacing.map(|h| R::of(1.0 / h));
         rows.fold(
-            &|o| {
-                let u = std::array::from_fn(|a| {
-                    [velocity[a].row(o), velocity[a].row(o + rows.stride(a))]
-                });
+            &|row| {
+                let u: [[&[R]; 2]; D] =
+                    per_axis!(D, |a| [velocity[a].row(row), velocity[a].row(row.near(a, 1))]);
                 exchange::courant_row(u, inverse_spacing)
             },
             &R::max,
@@ -554,14 +520,13 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
     /// Means over the box.
     pub fn means(&self) -> Means<D> {
         let (rows, up) = (self.rows, D - 1);
-        let s = rows.stride(up);
         let (rho_s, rho_g) = (self.setup.powder.density, self.setup.gas.density);
         // Σ over faces: φ u_s, (1-φ) u_g, φ u_g along the vertical; Σ φ, Σ φ² over cells.
         let [solids, gas, seen, phi, square] = rows.fold(
-            &|o| {
+            &|row| {
                 let mut sums = [0.0; 5];
-                let (below, here) = (self.phi.row(o - s), self.phi.row(o));
-                let (us, ug) = (self.solids[up].row(o), self.gas[up].row(o));
+                let (below, here) = (self.phi.row(row.near(up, -1)), self.phi.row(row));
+                let (us, ug) = (self.solids[up].row(row), self.gas[up].row(row));
                 for i in 0..here.len() {
                     let face = 0.5 * (below[i].f64() + here[i].f64());
                     let (us, ug, phi) = (us[i].f64(), ug[i].f64(), here[i].f64());
@@ -578,11 +543,10 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let cells = self.grid.len() as f64;
         let mean = phi / cells;
         let momentum = std::array::from_fn(|a| {
-            let s = rows.stride(a);
             let sum = rows.fold(
-                &|o| {
-                    let phi = self.phi.row(o - s).iter().zip(self.phi.row(o));
-                    let velocities = self.solids[a].row(o).iter().zip(self.gas[a].row(o));
+                &|row| {
+                    let phi = self.phi.row(row.near(a, -1)).iter().zip(self.phi.row(row));
+                    let velocities = self.solids[a].row(row).iter().zip(self.gas[a].row(row));
                     phi.zip(velocities)
                         .map(|((below, here), (us, ug))| {
                             let face = 0.5 * (below.f64() + here.f64());
@@ -612,32 +576,33 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         fine.time = self.time;
         let theory = KineticTheory::<f64>::new(&self.setup.gas, &self.setup.powder);
         let h = self.grid.spacing;
-        let stride = self.rows.layout().stride;
         // Velocity of a phase at a centre, as the mean of the two faces.
-        let centre = |u: &Field<R, D>, a: usize, at: usize| {
-            0.5 * (u.data[at].f64() + u.data[at + stride[a]].f64())
+        let centre = |u: &Field<R, D>, a: usize, row: Row<D>, i: usize| {
+            0.5 * (u.row(row)[i].f64() + u.row(row.near(a, 1))[i].f64())
         };
+        let strain = |a: usize, row: Row<D>, i: usize| {
+            let u = &self.solids[a];
+            (u.row(row.near(a, 1))[i].f64() - u.row(row)[i].f64()) / h[a]
+        };
+        let layout = self.rows.layout();
         let mut cell = 0;
-        for row in 0..self.rows.layout().rows() {
-            let offset = self.rows.layout().row(row);
-            for at in offset..offset + self.grid.cells[0] {
-                let phi = self.phi.data[at].f64();
-                let theta = self.theta.data[at].f64();
+        for row in (0..layout.rows()).map(|row| layout.row(row)) {
+            let (phi, theta) = (self.phi.row(row), self.theta.row(row));
+            let above: [_; D] = std::array::from_fn(|a| self.pressure.row(row.near(a, 1)));
+            let below: [_; D] = std::array::from_fn(|a| self.pressure.row(row.near(a, -1)));
+            for i in 0..self.grid.cells[0] {
+                let (phi, theta) = (phi[i].f64(), theta[i].f64());
                 let mut slip_squared = 0.0;
                 let mut divergence = 0.0;
                 for a in 0..D {
-                    let (us, ug) = (centre(&self.solids[a], a, at), centre(&self.gas[a], a, at));
+                    let us = centre(&self.solids[a], a, row, i);
+                    let ug = centre(&self.gas[a], a, row, i);
                     fine.solids_velocity[a][cell] = us;
                     fine.gas_velocity[a][cell] = ug;
                     slip_squared += (ug - us).powi(2);
-                    let (upper, lower) =
-                        (self.solids[a].data[at + stride[a]], self.solids[a].data[at]);
-                    divergence += (upper.f64() - lower.f64()) / h[a];
-                }
-                for a in 0..D {
-                    let (above, below) =
-                        (self.pressure.data[at + stride[a]], self.pressure.data[at - stride[a]]);
-                    fine.pressure_gradient[a][cell] = (above.f64() - below.f64()) / (2.0 * h[a]);
+                    divergence += strain(a, row, i);
+                    fine.pressure_gradient[a][cell] =
+                        (above[a][i].f64() - below[a][i].f64()) / (2.0 * h[a]);
                 }
                 let drag = self.law.beta_per_fraction(phi, slip_squared.sqrt());
                 let g0 = self.contact.radial_distribution(phi);
@@ -651,14 +616,12 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
                 for b in 0..D {
                     for a in 0..=b {
                         let strain = if a == b {
-                            let (upper, lower) =
-                                (self.solids[a].data[at + stride[a]], self.solids[a].data[at]);
-                            (upper.f64() - lower.f64()) / h[a] - divergence / 3.0
+                            strain(a, row, i) - divergence / 3.0
                         } else {
                             let across = |u: usize, by: usize| {
                                 let field = &self.solids[u];
-                                (centre(field, u, at + stride[by])
-                                    - centre(field, u, at - stride[by]))
+                                (centre(field, u, row.near(by, 1), i)
+                                    - centre(field, u, row.near(by, -1), i))
                                     / (2.0 * h[by])
                             };
                             0.5 * (across(a, b) + across(b, a))
@@ -671,6 +634,29 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             }
         }
     }
+}
+
+/// Sweeps over the parts of a box: as many as may be made at once, none much smaller than what it
+/// makes again beside its neighbours.
+fn sweeps<R: Real, const D: usize>(layout: Layout<D>, parallel: bool) -> Vec<Sweep<R, D>> {
+    let slabs = layout.cells[D - 1];
+    let parts = if parallel { threads().min(slabs / LEAST_SLABS).max(1) } else { 1 };
+    (0..parts).map(|n| Sweep::new(layout, n * slabs / parts, (n + 1) * slabs / parts)).collect()
+}
+
+/// Does all sweeps, each of its part of `after`.
+fn sweep_all<R: Real, const D: usize>(
+    sweeps: &mut [Sweep<R, D>],
+    before: &Before<'_, R, D>,
+    mut after: After<'_, R, D>,
+) -> Fastest<R> {
+    if let [sweep] = sweeps {
+        return sweep.run(before, &mut after);
+    }
+    let (lower, upper) = sweeps.split_at_mut(sweeps.len() / 2);
+    let (below, above) = after.split_at(upper[0].first_slab());
+    let (a, b) = join(true, || sweep_all(lower, before, below), || sweep_all(upper, before, above));
+    a.or(b)
 }
 
 /// Slip velocity of the uniform state \[m/s\].
@@ -748,6 +734,35 @@ mod tests {
                 assert!(error.abs() < 1e-8, "{drag} {phi}: {error}");
                 assert!(flow.phi.max() - flow.phi.min() < 1e-12);
             }
+        }
+    }
+
+    /// Fields after some steps, made in as many parts as there are `threads`.
+    fn in_parts<R: Real, const D: usize>(cells: [usize; D], threads: usize) -> Vec<u8> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let grid = Grid::new(cells.map(|n| 1.25e-3 * n as f64), cells);
+            let setup = Setup { parallel: threads > 1, ..setup(0.15, 0.5) };
+            let mut flow = TwoFluid::<R, D>::new(grid, setup);
+            assert_eq!(flow.sweeps.len(), threads);
+            let mut most_gas_steps = 0;
+            for _ in 0..300 {
+                most_gas_steps = most_gas_steps.max(flow.step(f64::INFINITY).unwrap().gas_steps);
+            }
+            assert!(most_gas_steps > 1);
+            let mut state = Vec::new();
+            flow.save_state(&mut state).unwrap();
+            state
+        })
+    }
+
+    #[test]
+    fn parts_make_what_the_whole_makes() {
+        for threads in [2, 3] {
+            assert!(in_parts::<f64, 2>([32, 49], threads) == in_parts::<f64, 2>([32, 49], 1));
+            assert!(
+                in_parts::<f32, 3>([16, 10, 50], threads) == in_parts::<f32, 3>([16, 10, 50], 1)
+            );
         }
     }
 

@@ -200,7 +200,7 @@ impl<R: Real> DragLaw<R> for Tenneti<R> {
         let reynolds = gas_fraction * self.reynolds_per_speed * slip_speed;
         let isolated = R::of(1.0 / 24.0) * sphere_drag(reynolds);
         // The floor keeps the logarithm finite in empty cells; its term is 5e-11 there.
-        let root = phi.max(R::of(1e-30)).power(R::of(1.0 / 3.0));
+        let root = phi.max(R::of(1e-30)).cbrt();
         let cube = phi * phi * phi;
         // (1-φ)² F.
         let force = inverse * (isolated + R::of(5.81) * phi)

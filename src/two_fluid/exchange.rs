@@ -2,9 +2,8 @@
 //! the pressure.
 
 use super::{GHOST, Medium};
-use crate::field::{Faces, Field};
 use crate::real::Real;
-use crate::rows::{Rows, by_axis, simd, sum_axes};
+use crate::rows::{by_axis, cut, simd, sum_axes};
 
 /// What a face's equations of motion need besides velocities and pressures.
 #[derive(Clone, Copy)]
@@ -72,49 +71,19 @@ impl<R: Real> Mobility<R> {
     }
 }
 
-/// Velocities along `axis` under the old gas pressure, the solids pressure, weight, the mean
-/// pressure gradient that balances it, and drag; in place. Leaves the total volume flux and its
-/// response to the pressure.
-///
-/// `buoyancy` is g (ρ_mean - ρ_k) for solids and gas along this axis: weight and mean pressure
-/// gradient together.
-#[allow(clippy::too_many_arguments)]
-pub(super) fn predict<R: Real, const D: usize>(
-    rows: &Rows<D>,
-    axis: usize,
-    outputs: [&mut Field<R, D>; 4],
-    phi: &Field<R, D>,
-    drag: &Field<R, D>,
-    solids_pressure: &Field<R, D>,
-    gas_pressure: &Field<R, D>,
-    inertia: Inertia<R>,
-    buoyancy: [R; 2],
-    inverse_spacing: R,
-) {
-    let s = rows.stride(axis);
-    rows.each(outputs, |o, [us, ug, flux, response]| {
-        predict_row(
-            us,
-            ug,
-            flux,
-            response,
-            [phi.row(o - s), phi.row(o)],
-            [drag.row(o - s), drag.row(o)],
-            [solids_pressure.row(o - s), solids_pressure.row(o)],
-            [gas_pressure.row(o - s), gas_pressure.row(o)],
-            inertia,
-            buoyancy,
-            inverse_spacing,
-        );
-    });
-}
-
 simd! {
-    fn predict_row[R: Real](
+    /// Velocities along one axis under the old gas pressure, the solids pressure, weight, the mean
+    /// pressure gradient that balances it, and drag. Leaves the total volume flux and its response
+    /// to the pressure times `weight`.
+    ///
+    /// `buoyancy` is g (ρ_mean - ρ_k) for solids and gas along this axis: weight and mean pressure
+    /// gradient together. Pairs of rows are the cells below and above the faces.
+    pub(super) fn predict_row[R: Real](
         us: &mut [R],
         ug: &mut [R],
         flux: &mut [R],
         response: &mut [R],
+        carried: [&[R]; 2],
         phi: [&[R]; 2],
         drag: [&[R]; 2],
         solids_pressure: [&[R]; 2],
@@ -122,56 +91,33 @@ simd! {
         inertia: Inertia<R>,
         buoyancy: [R; 2],
         inverse_spacing: R,
+        weight: R,
     ) {
         let n = us.len();
         let (ug, flux, response) = (&mut ug[..n], &mut flux[..n], &mut response[..n]);
-        let (phi, drag) = (phi.map(|q| &q[..n]), drag.map(|q| &q[..n]));
-        let solids_pressure = solids_pressure.map(|q| &q[..n]);
-        let gas_pressure = gas_pressure.map(|q| &q[..n]);
+        let carried = cut(carried, n);
+        let (phi, drag) = (cut(phi, n), cut(drag, n));
+        let solids_pressure = cut(solids_pressure, n);
+        let gas_pressure = cut(gas_pressure, n);
         for i in 0..n {
             let face = inertia.mobility(phi.map(|q| q[i]), drag.map(|q| q[i]));
             let gradient = inverse_spacing * (gas_pressure[1][i] - gas_pressure[0][i]);
             let collisions = inverse_spacing * (solids_pressure[1][i] - solids_pressure[0][i]);
-            let solids = face.solids_inertia * us[i] - collisions
+            let solids = face.solids_inertia * carried[0][i] - collisions
                 + face.phi * (buoyancy[0] - gradient);
-            let gas = face.gas_inertia * ug[i]
+            let gas = face.gas_inertia * carried[1][i]
                 + (R::ONE - face.phi) * (buoyancy[1] - gradient);
             let velocities = face.velocities(solids, gas);
             (us[i], ug[i]) = velocities;
             flux[i] = face.total(velocities);
-            response[i] = face.total(face.response());
+            response[i] = weight * face.total(face.response());
         }
     }
 }
 
-/// Takes the response to the pressure increment off the velocities along `axis`.
-#[allow(clippy::too_many_arguments)]
-pub(super) fn correct<R: Real, const D: usize>(
-    rows: &Rows<D>,
-    axis: usize,
-    velocities: [&mut Field<R, D>; 2],
-    phi: &Field<R, D>,
-    drag: &Field<R, D>,
-    increment: &Field<R, D>,
-    inertia: Inertia<R>,
-    inverse_spacing: R,
-) {
-    let s = rows.stride(axis);
-    rows.each(velocities, |o, [us, ug]| {
-        correct_row(
-            us,
-            ug,
-            [phi.row(o - s), phi.row(o)],
-            [drag.row(o - s), drag.row(o)],
-            [increment.row(o - s), increment.row(o)],
-            inertia,
-            inverse_spacing,
-        );
-    });
-}
-
 simd! {
-    fn correct_row[R: Real](
+    /// Takes the response to the pressure increment off the velocities along one axis.
+    pub(super) fn correct_row[R: Real](
         us: &mut [R],
         ug: &mut [R],
         phi: [&[R]; 2],
@@ -181,8 +127,8 @@ simd! {
         inverse_spacing: R,
     ) {
         let n = us.len();
-        let (ug, phi, drag) = (&mut ug[..n], phi.map(|q| &q[..n]), drag.map(|q| &q[..n]));
-        let increment = increment.map(|q| &q[..n]);
+        let (ug, phi, drag) = (&mut ug[..n], cut(phi, n), cut(drag, n));
+        let increment = cut(increment, n);
         for i in 0..n {
             let face = inertia.mobility(phi.map(|q| q[i]), drag.map(|q| q[i]));
             let gradient = inverse_spacing * (increment[1][i] - increment[0][i]);
@@ -193,21 +139,9 @@ simd! {
     }
 }
 
-/// -∇·`flux`, the right-hand side of the pressure equation.
-pub(super) fn convergence<R: Real, const D: usize>(
-    rows: &Rows<D>,
-    out: &mut Field<R, D>,
-    flux: &Faces<R, D>,
-    inverse_spacing: [R; D],
-) {
-    rows.each([out], |o, [out]| {
-        let flux = std::array::from_fn(|a| [flux[a].row(o), flux[a].row(o + rows.stride(a))]);
-        convergence_row(out, flux, inverse_spacing);
-    });
-}
-
 simd! {
-    fn convergence_row[R: Real, const D: usize](
+    /// -∇·`flux`, the right-hand side of the pressure equation.
+    pub(super) fn convergence_row[R: Real, const D: usize](
         out: &mut [R],
         flux: [[&[R]; 2]; D],
         inverse_spacing: [R; D],

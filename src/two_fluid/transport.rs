@@ -5,31 +5,26 @@
 //! of what flows in.
 
 use super::GHOST;
-use crate::field::{Faces, Field};
+use crate::field::{Lines, Row};
 use crate::real::Real;
-use crate::rows::{Rows, by_axis, simd, sum_axes};
+use crate::rows::{by_axis, cut, simd, sum_axes};
 use crate::stencil::upwind;
-
-/// Volume fluxes through the faces [m/s]: of solids, of gas, and of solids times temperature.
-#[derive(Clone, Debug)]
-pub(super) struct Fluxes<R, const D: usize> {
-    pub(super) solids: Faces<R, D>,
-    pub(super) gas: Faces<R, D>,
-    pub(super) heat: Faces<R, D>,
-}
 
 /// Four neighbours in a line across a face: two on either side.
 #[derive(Clone, Copy)]
-struct Line<'a, R>([&'a [R]; 4]);
+pub(super) struct Line<'a, R>([&'a [R]; 4]);
 
 impl<'a, R: Real> Line<'a, R> {
-    fn at<const D: usize>(field: &'a Field<R, D>, o: usize, s: usize) -> Self {
-        Self([field.row(o - 2 * s), field.row(o - s), field.row(o), field.row(o + s)])
+    /// Across the lower faces of `row` along `axis`.
+    #[inline(always)]
+    pub(super) fn at<const D: usize>(q: &'a impl Lines<R, D>, row: Row<D>, axis: usize) -> Self {
+        let at = |n| q.row(row.near(axis, n));
+        Self([at(-2), at(-1), at(0), at(1)])
     }
 
     #[inline(always)]
     fn cut(self, n: usize) -> Self {
-        Self(self.0.map(|row| &row[..n]))
+        Self(cut(self.0, n))
     }
 
     #[inline(always)]
@@ -38,93 +33,31 @@ impl<'a, R: Real> Line<'a, R> {
     }
 }
 
-impl<R: Real, const D: usize> Fluxes<R, D> {
-    /// Fluxes of `phi` and `theta` with the velocities; the gas takes what the solids leave of the
-    /// total, which the pressure has made free of divergence.
-    pub(super) fn set(
-        &mut self,
-        rows: &Rows<D>,
-        phi: &Field<R, D>,
-        theta: &Field<R, D>,
-        solids: &Faces<R, D>,
-        gas: &Faces<R, D>,
-        courant: [R; D],
-    ) {
-        for axis in 0..D {
-            let s = rows.stride(axis);
-            rows.each(
-                [&mut self.solids[axis], &mut self.gas[axis], &mut self.heat[axis]],
-                |o, [fs, fg, ft]| {
-                    let (phi, theta) = (Line::at(phi, o, s), Line::at(theta, o, s));
-                    let (us, ug) = (solids[axis].row(o), gas[axis].row(o));
-                    flux_row(fs, fg, ft, phi, theta, us, ug, courant[axis]);
-                },
-            );
-        }
-    }
-
-    /// Scales the solids' outflow of each cell so that it takes no more than the cell holds, which
-    /// limited slopes alone ensure only up to a Courant number of one half; the gas takes what the
-    /// solids leave. `share` is scratch.
-    pub(super) fn limit(
-        &mut self,
-        rows: &Rows<D>,
-        share: &mut Field<R, D>,
-        phi: &Field<R, D>,
-        courant: [R; D],
-    ) {
-        let Self { solids, gas, heat } = self;
-        rows.each([&mut *share], |o, [share]| {
-            let fluxes =
-                std::array::from_fn(|a| [solids[a].row(o), solids[a].row(o + rows.stride(a))]);
-            share_row(share, phi.row(o), fluxes, courant);
-        });
-        for axis in 0..D {
-            let s = rows.stride(axis);
-            rows.each([&mut solids[axis], &mut gas[axis], &mut heat[axis]], |o, [fs, fg, ft]| {
-                limit_row(fs, fg, ft, [share.row(o - s), share.row(o)]);
-            });
-        }
-    }
-}
-
 simd! {
-    /// Share of a cell's outflow that it can supply.
-    fn share_row[R: Real, const D: usize](
-        share: &mut [R],
-        phi: &[R],
-        fluxes: [[&[R]; 2]; D],
+    /// The largest ratio of what crosses a face to what the upwind cell holds per volume at which
+    /// the cell is not overdrawn, over all its faces: 1/Σ c of the faces that the cell flows out
+    /// of, c their Courant numbers. A trace stays behind, so that round-off cannot overdraw it.
+    pub(super) fn most_row[R: Real, const D: usize](
+        most: &mut [R],
+        velocity: [[&[R]; 2]; D],
         courant: [R; D],
     ) {
-        let n = share.len();
-        let (phi, fluxes) = (&phi[..n], by_axis(fluxes, n));
+        let n = most.len();
+        let velocity = by_axis(velocity, n);
         for i in 0..n {
-            let outflow = sum_axes!(D, fluxes, |[lower, upper], a| {
+            let outflow = sum_axes!(D, velocity, |[lower, upper], a| {
                 courant[a] * (upper[i].max(R::ZERO) - lower[i].min(R::ZERO))
             });
-            // A trace stays behind, so that round-off cannot overdraw the cell.
-            let held = R::of(1.0 - 1e-6) * phi[i];
-            share[i] = R::select(outflow > held, held / outflow, R::ONE);
+            most[i] = R::of(1.0 - 1e-6) / (outflow + R::of(1e-30));
         }
     }
 }
 
 simd! {
-    fn limit_row[R: Real](fs: &mut [R], fg: &mut [R], ft: &mut [R], share: [&[R]; 2]) {
-        let n = fs.len();
-        let (fg, ft, share) = (&mut fg[..n], &mut ft[..n], share.map(|s| &s[..n]));
-        for i in 0..n {
-            let upwind = R::select(fs[i] > R::ZERO, share[0][i], share[1][i]);
-            let solids = upwind * fs[i];
-            fg[i] += fs[i] - solids;
-            ft[i] *= upwind;
-            fs[i] = solids;
-        }
-    }
-}
-
-simd! {
-    fn flux_row[R: Real](
+    /// Volume fluxes through the lower faces of a row along one axis \[m/s\]: of solids, of gas, and of
+    /// solids times temperature. The gas takes what the solids leave of the total, which the
+    /// pressure has made free of divergence. `most` is that of [`most_row`] on either side.
+    pub(super) fn flux_row[R: Real](
         fs: &mut [R],
         fg: &mut [R],
         ft: &mut [R],
@@ -132,45 +65,34 @@ simd! {
         theta: Line<'_, R>,
         us: &[R],
         ug: &[R],
+        most: [&[R]; 2],
         courant: R,
     ) {
         let n = fs.len();
-        let (phi, theta) = (phi.cut(n), theta.cut(n));
+        let (phi, theta, most) = (phi.cut(n), theta.cut(n), cut(most, n));
         let (fg, ft, us, ug) = (&mut fg[..n], &mut ft[..n], &us[..n], &ug[..n]);
         for i in 0..n {
             let face = R::of(0.5) * (phi.0[1][i] + phi.0[2][i]);
             let total = face * us[i] + (R::ONE - face) * ug[i];
             let crossing = courant * us[i].abs();
-            let solids = us[i] * phi.upwind(us[i], crossing, i);
-            fs[i] = solids;
-            fg[i] = total - solids;
-            ft[i] = solids * theta.upwind(us[i], crossing, i);
+            let forward = us[i] > R::ZERO;
+            // Limited slopes alone keep φ and T positive up to a Courant number of one half; these
+            // bounds do up to one.
+            let most = R::select(forward, most[0][i], most[1][i]);
+            let bound = most * R::select(forward, phi.0[1][i], phi.0[2][i]);
+            let solids = phi.upwind(us[i], crossing, i).min(bound);
+            let warmest = bound * R::select(forward, theta.0[1][i], theta.0[2][i]);
+            let heat = (solids * theta.upwind(us[i], crossing, i)).min(warmest);
+            fs[i] = us[i] * solids;
+            fg[i] = total - us[i] * solids;
+            ft[i] = us[i] * heat;
         }
     }
 }
 
-/// φ and T after `dt` from the fluxes: φ' = φ - dt ∇·F, φ' T' = φ T - dt ∇·(F T).
-pub(super) fn advect<R: Real, const D: usize>(
-    rows: &Rows<D>,
-    [phi_new, theta_new]: [&mut Field<R, D>; 2],
-    phi: &Field<R, D>,
-    theta: &Field<R, D>,
-    fluxes: &Fluxes<R, D>,
-    courant: [R; D],
-) {
-    rows.each([phi_new, theta_new], |o, [phi_new, theta_new]| {
-        let fs: [[&[R]; 2]; D] = std::array::from_fn(|a| {
-            [fluxes.solids[a].row(o), fluxes.solids[a].row(o + rows.stride(a))]
-        });
-        let ft: [[&[R]; 2]; D] = std::array::from_fn(|a| {
-            [fluxes.heat[a].row(o), fluxes.heat[a].row(o + rows.stride(a))]
-        });
-        advect_row(phi_new, theta_new, phi.row(o), theta.row(o), fs, ft, courant);
-    });
-}
-
 simd! {
-    fn advect_row[R: Real, const D: usize](
+    /// φ and T after `dt` from the fluxes: φ' = φ - dt ∇·F, φ' T' = φ T - dt ∇·(F T).
+    pub(super) fn advect_row[R: Real, const D: usize](
         phi_new: &mut [R],
         theta_new: &mut [R],
         phi: &[R],
@@ -218,76 +140,51 @@ impl<R: Real> Share<R> {
     }
 }
 
-/// Momentum along `axis` of one phase carried by its `flux`: the share of a face times its
-/// velocity is conserved; `courant` is dt/h along each axis.
-#[allow(clippy::too_many_arguments)]
-pub(super) fn advect_momentum<R: Real, const D: usize>(
-    rows: &Rows<D>,
-    axis: usize,
-    new: &mut Field<R, D>,
-    velocities: &Faces<R, D>,
-    flux: &Faces<R, D>,
-    [phi, phi_new]: [&Field<R, D>; 2],
-    shares: [Share<R>; 2],
-    courant: [R; D],
-) {
-    let s = rows.stride(axis);
-    let velocity = &velocities[axis];
-    rows.each([new], |o, [new]| {
-        // Two neighbours on either side, then the pairs of fluxes, and of velocities, whose means
-        // cross the lower and the upper face of the velocity's own cell.
-        let axes = std::array::from_fn(|b| {
-            let (sb, flux, speed) = (rows.stride(b), &flux[b], &velocities[b]);
-            [
-                velocity.row(o - 2 * sb),
-                velocity.row(o - sb),
-                velocity.row(o + sb),
-                velocity.row(o + 2 * sb),
-                flux.row(o - s),
-                flux.row(o),
-                flux.row(o - s + sb),
-                flux.row(o + sb),
-                speed.row(o - s),
-                speed.row(o),
-                speed.row(o - s + sb),
-                speed.row(o + sb),
-            ]
-        });
-        let fractions = [phi.row(o - s), phi.row(o), phi_new.row(o - s), phi_new.row(o)];
-        momentum_row(new, velocity.row(o), axes, fractions, shares, courant);
-    });
+simd! {
+    /// Momentum per volume that one phase carries across the lower sides of the cells of one
+    /// velocity component along one axis, times dt/h. Means of the pairs of fluxes and velocities
+    /// cross there.
+    pub(super) fn carry_row[R: Real](
+        out: &mut [R],
+        carried: Line<'_, R>,
+        flux: [&[R]; 2],
+        velocity: [&[R]; 2],
+        courant: R,
+    ) {
+        let n = out.len();
+        let carried = carried.cut(n);
+        let (flux, velocity) = (cut(flux, n), cut(velocity, n));
+        let half = R::of(0.5) * courant;
+        for i in 0..n {
+            let through = half * (flux[0][i] + flux[1][i]);
+            let crossing = half * (velocity[0][i] + velocity[1][i]).abs();
+            out[i] = through * carried.upwind(through, crossing, i);
+        }
+    }
 }
 
 simd! {
-    fn momentum_row[R: Real, const D: usize](
+    /// One velocity component of a phase after its momentum was carried: the share of a face times
+    /// its velocity is conserved. `carried` crosses the lower and the upper side along each axis;
+    /// `fractions` are φ below and above the face, before and after.
+    pub(super) fn momentum_row[R: Real, const D: usize](
         new: &mut [R],
         u: &[R],
-        axes: [[&[R]; 12]; D],
+        carried: [[&[R]; 2]; D],
         fractions: [&[R]; 4],
         shares: [Share<R>; 2],
-        courant: [R; D],
     ) {
         let n = new.len();
         let u = &u[..n];
-        let axes = by_axis(axes, n);
-        let [below, here, below_new, here_new] = fractions.map(|f| &f[..n]);
+        let carried = by_axis(carried, n);
+        let [below, here, below_new, here_new] = cut(fractions, n);
         let half = R::of(0.5);
         for i in 0..n {
             let before = half * (below[i] + here[i]);
             let after = half * (below_new[i] + here_new[i]);
             let share = shares.map(|s| s.constant + s.before * before + s.after * after);
-            let outflow = sum_axes!(D, axes, |[m2, m1, p1, p2, f0, f1, f2, f3, v0, v1, v2, v3], b| {
-                let lower = half * (f0[i] + f1[i]);
-                let upper = half * (f2[i] + f3[i]);
-                let half_courant = half * courant[b];
-                let below = half_courant * (v0[i] + v1[i]).abs();
-                let above = half_courant * (v2[i] + v3[i]).abs();
-                courant[b]
-                    * (upper * upwind(upper, above, m1[i], u[i], p1[i], p2[i])
-                        - lower * upwind(lower, below, m2[i], m1[i], u[i], p1[i]))
-            });
-            let momentum = share[0] * u[i] - outflow;
-            new[i] = momentum / share[1];
+            let outflow = sum_axes!(D, carried, |[lower, upper], _| upper[i] - lower[i]);
+            new[i] = (share[0] * u[i] - outflow) / share[1];
         }
     }
 }

@@ -1,0 +1,689 @@
+//! The part of a step before the pressure, as one sweep along the last axis.
+//!
+//! Every stage of a step looks a slab or two to either side. Done one after the other over the whole
+//! box they would stream some hundreds of numbers per cell through memory; done in one sweep, each
+//! stage as soon as the slabs that it looks at are there, what passes between stages stays in cache
+//! and needs memory for a few slabs only ([`Ring`]).
+//!
+//! A [`Sweep`] makes the slabs of one part of the box. Near its ends it makes again what its
+//! neighbours make too, so parts need nothing of each other, and how many there are changes no bit
+//! of a result.
+
+use super::exchange::{self, Inertia};
+use super::granular;
+use super::imposed::Sources;
+use super::stress::{self, around, pair, pairs, shear_lines};
+use super::transport::{self, Line, Share};
+use super::{MOST_GAS_STEPS, Medium};
+use crate::field::{Faces, Field, Layout, Lines, Ring, Row, Slabs, fill};
+use crate::real::Real;
+use crate::rows::{max_abs, per_axis};
+
+/// What a sweep reads.
+pub(super) struct Before<'a, R, const D: usize> {
+    pub(super) layout: Layout<D>,
+    pub(super) medium: &'a Medium<R>,
+    pub(super) phi: &'a Field<R, D>,
+    pub(super) theta: &'a Field<R, D>,
+    pub(super) pressure: &'a Field<R, D>,
+    pub(super) solids: &'a Faces<R, D>,
+    pub(super) gas: &'a Faces<R, D>,
+    /// g (ρ_mean - ρ_k) along the last axis, for solids and gas \[N/m³\].
+    pub(super) buoyancy: [R; 2],
+    pub(super) dt: R,
+    /// Sub-steps of the gas, 1 to [`MOST_GAS_STEPS`].
+    pub(super) gas_steps: usize,
+    /// dt/h along each axis \[s/m\].
+    pub(super) courant: [R; D],
+    /// 1/h along each axis \[1/m\].
+    pub(super) inverse_spacing: [R; D],
+    /// Bound on the diffusivities of nearly empty cells \[m²/s\].
+    pub(super) most_diffusivity: R,
+    /// Solids fraction from which on a cell is not nearly empty \[-\].
+    pub(super) nearly_empty: R,
+    /// What verification adds.
+    pub(super) sources: Option<&'a Sources<R, D>>,
+}
+
+/// What a sweep leaves, of its own slabs.
+pub(super) struct After<'a, R, const D: usize> {
+    pub(super) phi: Slabs<'a, R, D>,
+    pub(super) theta: Slabs<'a, R, D>,
+    /// Velocities that the pressure increment is still missing in.
+    pub(super) solids: [Slabs<'a, R, D>; D],
+    pub(super) gas: [Slabs<'a, R, D>; D],
+    /// β/φ \[kg/m³/s\].
+    pub(super) drag: Slabs<'a, R, D>,
+    /// Response of the total volume flux to the pressure, over h².
+    pub(super) weights: [Slabs<'a, R, D>; D],
+    /// -∇· of the total volume flux \[1/s\].
+    pub(super) right: Slabs<'a, R, D>,
+}
+
+impl<R: Real, const D: usize> After<'_, R, D> {
+    /// What belongs to the slabs before `slab`, and to those from it on.
+    pub(super) fn split_at(self, slab: usize) -> (Self, Self) {
+        let Self { phi, theta, solids, gas, drag, weights, right } = self;
+        let (phi, theta) = (phi.split_at(slab), theta.split_at(slab));
+        let (drag, right) = (drag.split_at(slab), right.split_at(slab));
+        let [solids, gas, weights] = [solids, gas, weights].map(|faces| {
+            let mut parts = faces.map(|face| {
+                let (below, above) = face.split_at(slab);
+                (Some(below), Some(above))
+            });
+            let lower = parts.each_mut().map(|part| part.0.take().expect("taken once"));
+            (lower, parts.map(|part| part.1.expect("taken once")))
+        });
+        (
+            Self {
+                phi: phi.0,
+                theta: theta.0,
+                solids: solids.0,
+                gas: gas.0,
+                drag: drag.0,
+                weights: weights.0,
+                right: right.0,
+            },
+            Self {
+                phi: phi.1,
+                theta: theta.1,
+                solids: solids.1,
+                gas: gas.1,
+                drag: drag.1,
+                weights: weights.1,
+                right: right.1,
+            },
+        )
+    }
+}
+
+/// The largest of a part of the box: what the next time step must respect.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Fastest<R> {
+    /// Square of the speed of granular sound \[m²/s²\].
+    pub(super) sound_squared: R,
+    /// Diffusivity of a cell that is not nearly empty \[m²/s\].
+    pub(super) diffusivity: R,
+}
+
+impl<R: Real> Fastest<R> {
+    const NONE: Self = Self { sound_squared: R::ZERO, diffusivity: R::ZERO };
+
+    pub(super) fn or(self, other: Self) -> Self {
+        Self {
+            sound_squared: self.sound_squared.max(other.sound_squared),
+            diffusivity: self.diffusivity.max(other.diffusivity),
+        }
+    }
+}
+
+/// Makes some neighbouring slabs of a step.
+#[derive(Debug)]
+pub(super) struct Sweep<R, const D: usize> {
+    /// The first slab and the one after the last.
+    slabs: [usize; 2],
+    /// As [`transport::most_row`] has it.
+    most: Ring<R, D>,
+    solids_flux: [Ring<R, D>; D],
+    gas_flux: [Ring<R, D>; D],
+    heat_flux: [Ring<R, D>; D],
+    phi: Ring<R, D>,
+    theta: Ring<R, D>,
+    /// Momentum carried within a slab, along the axes before the last.
+    carried_within: Vec<Ring<R, D>>,
+    /// Momentum carried between slabs: of the solids, then of each sub-step of the gas.
+    carried_on: Vec<[Ring<R, D>; D]>,
+    /// Velocity of the solids after their momentum was carried, then of the gas after each sub-step.
+    solids: [Ring<R, D>; D],
+    gas: Vec<[Ring<R, D>; D]>,
+    slip_squared: Ring<R, D>,
+    drag: Ring<R, D>,
+    radial_distribution: Ring<R, D>,
+    viscosity: Ring<R, D>,
+    bulk_viscosity: Ring<R, D>,
+    conductivity: Ring<R, D>,
+    /// τ_aa at cell centres, τ_ab on edges, tension positive \[Pa\].
+    normal: [Ring<R, D>; D],
+    shear: Vec<Ring<R, D>>,
+    shear_heating: Vec<Ring<R, D>>,
+    /// Velocity of the solids after the viscous stress.
+    sheared: [Ring<R, D>; D],
+    solids_pressure: Ring<R, D>,
+    /// Total volume flux, without the pressure increment.
+    total: [Ring<R, D>; D],
+    /// What limits the next time step, cell by cell.
+    limit: Ring<R, D>,
+    /// Where rows of other parts go.
+    spare: Vec<Vec<R>>,
+    /// Velocities of a row, with what verification adds.
+    pushed: [Vec<R>; 2],
+}
+
+impl<R: Real, const D: usize> Sweep<R, D> {
+    /// For the slabs from `begin` to before `end` of a box.
+    pub(super) fn new(layout: Layout<D>, begin: usize, end: usize) -> Self {
+        let ring = |slabs| Ring::new(layout, slabs);
+        let rings = |slabs| std::array::from_fn(|_| Ring::new(layout, slabs));
+        let several = |n, slabs| (0..n).map(|_| Ring::new(layout, slabs)).collect();
+        let pairs = D * (D - 1) / 2;
+        // The lengths follow from how far apart in the sweep a slab is made and last looked at; see
+        // `run`.
+        Self {
+            slabs: [begin, end],
+            most: ring(2),
+            solids_flux: rings(8),
+            gas_flux: rings(8),
+            heat_flux: rings(2),
+            phi: ring(16),
+            theta: ring(16),
+            carried_within: several(D - 1, 1),
+            carried_on: (0..=MOST_GAS_STEPS).map(|_| rings(2)).collect(),
+            solids: rings(4),
+            gas: (0..MOST_GAS_STEPS).map(|_| rings(4)).collect(),
+            slip_squared: ring(4),
+            drag: ring(4),
+            radial_distribution: ring(4),
+            viscosity: ring(4),
+            bulk_viscosity: ring(4),
+            conductivity: ring(4),
+            normal: rings(4),
+            shear: several(pairs, 2),
+            shear_heating: several(pairs, 2),
+            sheared: rings(2),
+            solids_pressure: ring(2),
+            total: rings(2),
+            limit: ring(1),
+            spare: vec![vec![R::ZERO; layout.most_elements()]; 3],
+            pushed: std::array::from_fn(|_| vec![R::ZERO; layout.most_elements()]),
+        }
+    }
+
+    /// The first of its slabs.
+    pub(super) fn first_slab(&self) -> usize {
+        self.slabs[0]
+    }
+
+    /// Does the step up to the pressure.
+    pub(super) fn run(
+        &mut self,
+        before: &Before<'_, R, D>,
+        after: &mut After<'_, R, D>,
+    ) -> Fastest<R> {
+        let [begin, end] = self.slabs.map(|slab| slab as isize);
+        let m = before.gas_steps as isize;
+        let mut fastest = Fastest::<R>::NONE;
+        // At time `now` each stage makes the slab that lies as far behind as its inputs ask for, if
+        // that slab is within what the later stages look at: `below` slabs before the part and
+        // `above` after it.
+        for now in begin - 2 * m - 3..end + 2 * m + 3 {
+            let due = |behind: isize, below: isize, above: isize| {
+                let slab = now - behind;
+                (begin - below..end + above).contains(&slab).then_some(slab)
+            };
+            if let Some(slab) = due(0, 2 * m + 3, 2 * m + 3) {
+                self.most(before, slab);
+            }
+            if let Some(slab) = due(0, 2 * m + 2, 2 * m + 3) {
+                self.fluxes(before, slab);
+            }
+            if let Some(slab) = due(1, 2 * m + 2, 2 * m + 2) {
+                self.advect(before, after, slab);
+            }
+            for n in 0..before.gas_steps {
+                let left = 2 * (m - 1 - n as isize);
+                if let Some(slab) = due(2 * n as isize + 1, 4 + left, 4 + left) {
+                    self.gas_momentum(before, n, slab, slab == begin - 4 - left);
+                }
+            }
+            if let Some(slab) = due(2 * m - 1, 4, 4) {
+                self.solids_momentum(before, slab, slab == begin - 4);
+            }
+            if let Some(slab) = due(2 * m, 3, 3) {
+                fastest.diffusivity = fastest.diffusivity.max(self.closures(before, after, slab));
+                self.stress(before, slab);
+            }
+            if let Some(slab) = due(2 * m + 1, 2, 2) {
+                self.shear(before, slab);
+                // The edges above the lowest slab's lower faces are the first with both sides made.
+                if slab >= begin - 1 {
+                    self.shear_heating(before, slab);
+                }
+            }
+            if let Some(slab) = due(2 * m + 2, 1, 1) {
+                fastest.sound_squared =
+                    fastest.sound_squared.max(self.granular_energy(before, after, slab));
+                if slab >= begin {
+                    self.forces(before, after, slab);
+                }
+            }
+            if let Some(slab) = due(2 * m + 3, 0, 0) {
+                self.convergence(before, after, slab);
+            }
+        }
+        fastest
+    }
+
+    /// How much each cell can give.
+    fn most(&mut self, before: &Before<'_, R, D>, slab: isize) {
+        for row in before.rows(slab) {
+            let velocity = both_faces(before.solids, row);
+            fill!(
+                before.layout,
+                [most = self.most.line(row)],
+                transport::most_row(most, velocity, before.courant)
+            );
+        }
+    }
+
+    /// Volume fluxes through the lower faces, and solids times temperature with them.
+    fn fluxes(&mut self, before: &Before<'_, R, D>, slab: isize) {
+        let Before { phi, theta, solids, gas, courant, .. } = before;
+        for row in before.rows(slab) {
+            for axis in 0..D {
+                let most = [self.most.row(row.near(axis, -1)), self.most.row(row)];
+                let (phi, theta) = (Line::at(*phi, row, axis), Line::at(*theta, row, axis));
+                let (us, ug) = (solids[axis].row(row), gas[axis].row(row));
+                fill!(
+                    before.layout,
+                    [
+                        fs = self.solids_flux[axis].line(row),
+                        fg = self.gas_flux[axis].line(row),
+                        ft = self.heat_flux[axis].line(row),
+                    ],
+                    transport::flux_row(fs, fg, ft, phi, theta, us, ug, most, courant[axis])
+                );
+            }
+        }
+    }
+
+    /// Solids fraction and temperature by the fluxes.
+    fn advect(&mut self, before: &Before<'_, R, D>, after: &mut After<'_, R, D>, slab: isize) {
+        for row in before.rows(slab) {
+            let (fs, ft) = (both_faces(&self.solids_flux, row), both_faces(&self.heat_flux, row));
+            let (phi_old, theta_old) = (before.phi.row(row), before.theta.row(row));
+            fill!(
+                before.layout,
+                [phi = self.phi.line(row), theta = self.theta.line(row)],
+                transport::advect_row(phi, theta, phi_old, theta_old, fs, ft, before.courant)
+            );
+            if let Some(sources) = before.sources {
+                fill!(
+                    before.layout,
+                    [theta = self.theta.line(row)],
+                    sources.heat(theta, row, before.dt)
+                );
+            }
+            after.phi.line(row, &mut self.spare[0]).copy_from_slice(self.phi.whole(row));
+        }
+    }
+
+    /// Momentum of the solids by their fluxes.
+    fn solids_momentum(&mut self, before: &Before<'_, R, D>, slab: isize, before_first: bool) {
+        let Self { carried_within, carried_on, solids_flux, solids, phi, .. } = self;
+        let within = carried_within.as_mut_slice();
+        let momentum = Momentum {
+            layout: before.layout,
+            velocity: before.solids,
+            flux: solids_flux,
+            fractions: [before.phi as &dyn Lines<R, D>, phi],
+            shares: Share::solids(),
+            courant: before.courant,
+        };
+        momentum.carry(before, within, &mut carried_on[0], solids, slab, before_first);
+    }
+
+    /// Momentum of the gas by its fluxes, in sub-step `n`.
+    fn gas_momentum(
+        &mut self,
+        before: &Before<'_, R, D>,
+        n: usize,
+        slab: isize,
+        before_first: bool,
+    ) {
+        let Self { carried_within, carried_on, gas_flux, gas, phi, .. } = self;
+        let within = carried_within.as_mut_slice();
+        let part = 1.0 / before.gas_steps as f64;
+        let fractions = [before.phi as &dyn Lines<R, D>, phi];
+        let shares = [Share::gas(n as f64 * part), Share::gas((n + 1) as f64 * part)];
+        let courant = before.courant.map(|c| c * R::of(part));
+        let on = &mut carried_on[1 + n];
+        let (done, to_do) = gas.split_at_mut(n);
+        let layout = before.layout;
+        match done.last() {
+            None => Momentum {
+                layout,
+                velocity: before.gas,
+                flux: gas_flux,
+                fractions,
+                shares,
+                courant,
+            }
+            .carry(before, within, on, &mut to_do[0], slab, before_first),
+            Some(velocity) => {
+                Momentum { layout, velocity, flux: gas_flux, fractions, shares, courant }.carry(
+                    before,
+                    within,
+                    on,
+                    &mut to_do[0],
+                    slab,
+                    before_first,
+                )
+            }
+        }
+    }
+
+    /// Drag coefficient and kinetic theory; the largest diffusivity.
+    fn closures(
+        &mut self,
+        before: &Before<'_, R, D>,
+        after: &mut After<'_, R, D>,
+        slab: isize,
+    ) -> R {
+        let gas = &self.gas[before.gas_steps - 1];
+        let mut fastest = R::ZERO;
+        for row in before.rows(slab) {
+            let velocities: [[&[R]; 4]; D] = per_axis!(D, |a| {
+                let above = row.near(a, 1);
+                let (us, ug) = (&self.solids[a], &gas[a]);
+                [us.row(row), us.row(above), ug.row(row), ug.row(above)]
+            });
+            let (phi, theta) = (self.phi.row(row), self.theta.row(row));
+            let medium = before.medium;
+            let bounds = [before.most_diffusivity, before.nearly_empty];
+            let most = fill!(
+                before.layout,
+                [
+                    slip = self.slip_squared.line(row),
+                    drag = self.drag.line(row),
+                    g0 = self.radial_distribution.line(row),
+                    viscosity = self.viscosity.line(row),
+                    bulk = self.bulk_viscosity.line(row),
+                    conductivity = self.conductivity.line(row),
+                    diffusivity = self.limit.line(row),
+                ],
+                {
+                    granular::slip_row(slip, velocities);
+                    medium.drag.fill(drag, phi, slip);
+                    let outputs = [g0, viscosity, bulk, conductivity, &mut *diffusivity];
+                    medium.contact.kinetic(outputs, medium, phi, theta, drag, bounds);
+                    largest(before.layout, diffusivity)
+                }
+            );
+            fastest = fastest.max(most);
+            after.drag.line(row, &mut self.spare[0]).copy_from_slice(self.drag.whole(row));
+        }
+        fastest
+    }
+
+    /// Viscous stress of the solids.
+    fn stress(&mut self, before: &Before<'_, R, D>, slab: isize) {
+        let h = before.inverse_spacing;
+        for row in before.rows(slab) {
+            for axis in 0..D {
+                let u = both_faces(&self.solids, row);
+                let (mu, bulk) = (self.viscosity.row(row), self.bulk_viscosity.row(row));
+                fill!(
+                    before.layout,
+                    [normal = self.normal[axis].line(row)],
+                    stress::normal_row(normal, axis, u, mu, bulk, h)
+                );
+            }
+            for (at, (a, b)) in pairs::<D>() {
+                let u = shear_lines(&self.solids, (a, b), row);
+                let mu = around(&self.viscosity, (a, b), row);
+                fill!(
+                    before.layout,
+                    [shear = self.shear[at].line(row)],
+                    stress::shear_row(shear, u, mu, [h[a], h[b]])
+                );
+            }
+        }
+    }
+
+    /// Velocity of the solids by the viscous stress.
+    fn shear(&mut self, before: &Before<'_, R, D>, slab: isize) {
+        let impulse = before.dt / before.medium.solids_density;
+        for row in before.rows(slab) {
+            for axis in 0..D {
+                let stress: [[&[R]; 2]; D] = per_axis!(D, |b| {
+                    if b == axis {
+                        [self.normal[axis].row(row.near(axis, -1)), self.normal[axis].row(row)]
+                    } else {
+                        let shear = &self.shear[pair(axis, b)];
+                        [shear.row(row), shear.row(row.near(b, 1))]
+                    }
+                });
+                let phi = [self.phi.row(row.near(axis, -1)), self.phi.row(row)];
+                let u = self.solids[axis].row(row);
+                fill!(
+                    before.layout,
+                    [new = self.sheared[axis].line(row)],
+                    stress::apply_row(new, u, stress, phi, impulse, before.inverse_spacing)
+                );
+            }
+        }
+    }
+
+    /// Shear heating of the edges, from the velocities before and after the stress.
+    fn shear_heating(&mut self, before: &Before<'_, R, D>, slab: isize) {
+        let h = before.inverse_spacing;
+        for row in before.rows(slab) {
+            for (at, (a, b)) in pairs::<D>() {
+                let axes = (a, b);
+                let u =
+                    [shear_lines(&self.solids, axes, row), shear_lines(&self.sheared, axes, row)];
+                let phi = around(&self.phi, (a, b), row);
+                let shear = self.shear[at].row(row);
+                fill!(
+                    before.layout,
+                    [heating = self.shear_heating[at].line(row)],
+                    stress::shear_heating_row(heating, shear, u, phi, [h[a], h[b]])
+                );
+            }
+        }
+    }
+
+    /// Balance of granular energy over the step: conduction and viscous heating explicit,
+    /// dissipation, compression and production by slip implicit in each cell. Leaves the temperature
+    /// and the solids pressure; returns the largest squared speed of sound.
+    fn granular_energy(
+        &mut self,
+        before: &Before<'_, R, D>,
+        after: &mut After<'_, R, D>,
+        slab: isize,
+    ) -> R {
+        let Before { medium, inverse_spacing: h, dt, .. } = *before;
+        let mut fastest = R::ZERO;
+        for row in before.rows(slab) {
+            let (phi, g0) = (self.phi.row(row), self.radial_distribution.row(row));
+            let (drag, slip) = (self.drag.row(row), self.slip_squared.row(row));
+            let old = self.theta.row(row);
+            let u = both_faces(&self.sheared, row);
+            let most = fill!(
+                before.layout,
+                [
+                    theta = after.theta.line(row, &mut self.spare[0]),
+                    pressure = self.solids_pressure.line(row),
+                    sound = self.limit.line(row),
+                ],
+                {
+                    // Conduction and viscous heating, per solids mass, gather in `theta` first.
+                    theta.fill(R::ZERO);
+                    for a in 0..D {
+                        let (below, above) = (row.near(a, -1), row.near(a, 1));
+                        let q = &self.theta;
+                        let old = [q.row(below), q.row(row), q.row(above)];
+                        let q = &self.conductivity;
+                        let conductivity = [q.row(below), q.row(row), q.row(above)];
+                        let (u, v) = (&self.solids[a], &self.sheared[a]);
+                        let u = [[u.row(row), u.row(above)], [v.row(row), v.row(above)]];
+                        let normal = self.normal[a].row(row);
+                        granular::heating_row(theta, old, conductivity, normal, u, h[a]);
+                    }
+                    granular::per_mass_row(theta, phi, medium.solids_density);
+                    for (at, (a, b)) in pairs::<D>() {
+                        let (right, up) = (row.near(a, 1), row.near(b, 1));
+                        let q = &self.shear_heating[at];
+                        let edges = [q.row(row), q.row(right), q.row(up), q.row(right.near(b, 1))];
+                        granular::edge_heating_row(theta, edges, R::ONE / medium.solids_density);
+                    }
+                    granular::balance_row(theta, medium, phi, old, g0, drag, slip, u, h, dt);
+                    let outputs = [pressure, &mut *sound];
+                    medium.contact.pressure(outputs, medium.theory, phi, g0, theta, drag, dt);
+                    largest(before.layout, sound)
+                }
+            );
+            fastest = fastest.max(most);
+        }
+        fastest
+    }
+
+    /// All forces but the pressure increment, and the exchange of momentum by drag.
+    fn forces(&mut self, before: &Before<'_, R, D>, after: &mut After<'_, R, D>, slab: isize) {
+        let inertia = Inertia::new(before.medium, before.dt);
+        let gas = &self.gas[before.gas_steps - 1];
+        for row in before.rows(slab) {
+            for axis in 0..D {
+                let below = row.near(axis, -1);
+                let spacing = before.inverse_spacing[axis];
+                let buoyancy = if axis + 1 == D { before.buoyancy } else { [R::ZERO; 2] };
+                let mut velocities = [self.sheared[axis].row(row), gas[axis].row(row)];
+                if let Some(sources) = before.sources {
+                    sources.push(&mut self.pushed, velocities, axis, row, before.dt);
+                    velocities = self.pushed.each_ref().map(Vec::as_slice);
+                }
+                let [us, ug, weights] = self.spare.first_chunk_mut().expect("three spare rows");
+                fill!(
+                    before.layout,
+                    [
+                        us = after.solids[axis].line(row, us),
+                        ug = after.gas[axis].line(row, ug),
+                        total = self.total[axis].line(row),
+                        weights = after.weights[axis].line(row, weights),
+                    ],
+                    exchange::predict_row(
+                        us,
+                        ug,
+                        total,
+                        weights,
+                        velocities,
+                        [self.phi.row(below), self.phi.row(row)],
+                        [self.drag.row(below), self.drag.row(row)],
+                        [self.solids_pressure.row(below), self.solids_pressure.row(row)],
+                        [before.pressure.row(below), before.pressure.row(row)],
+                        inertia,
+                        buoyancy,
+                        spacing,
+                        spacing * spacing,
+                    )
+                );
+            }
+        }
+    }
+
+    /// What the pressure increment must make up for.
+    fn convergence(&mut self, before: &Before<'_, R, D>, after: &mut After<'_, R, D>, slab: isize) {
+        for row in before.rows(slab) {
+            let total = both_faces(&self.total, row);
+            fill!(
+                before.layout,
+                [right = after.right.line(row, &mut self.spare[0])],
+                exchange::convergence_row(right, total, before.inverse_spacing)
+            );
+        }
+    }
+}
+
+impl<R: Real, const D: usize> Before<'_, R, D> {
+    /// The rows of a slab.
+    fn rows(&self, slab: isize) -> impl Iterator<Item = Row<D>> + use<R, D> {
+        self.layout.pieces(slab)
+    }
+}
+
+/// The largest absolute value of rows.
+fn largest<R: Real, const D: usize>(layout: Layout<D>, cells: &[R]) -> R {
+    layout.each(cells).map(max_abs).fold(R::ZERO, R::max)
+}
+
+/// The lower and upper faces of a row of cells along each axis.
+#[inline(always)]
+fn both_faces<R: Real, const D: usize>(
+    faces: &[impl Lines<R, D>; D],
+    row: Row<D>,
+) -> [[&[R]; 2]; D] {
+    per_axis!(D, |a| [faces[a].row(row), faces[a].row(row.near(a, 1))])
+}
+
+/// Momentum of one phase and what carries it.
+struct Momentum<'a, R, L, const D: usize> {
+    layout: Layout<D>,
+    velocity: &'a [L; D],
+    flux: &'a [Ring<R, D>; D],
+    /// φ before and after.
+    fractions: [&'a dyn Lines<R, D>; 2],
+    shares: [Share<R>; 2],
+    courant: [R; D],
+}
+
+impl<R: Real, L: Lines<R, D>, const D: usize> Momentum<'_, R, L, D> {
+    /// The new velocity of a slab, and what crosses its upper side, which the next slab asks for; of
+    /// the slab before the first only that.
+    fn carry(
+        &self,
+        before: &Before<'_, R, D>,
+        within: &mut [Ring<R, D>],
+        on: &mut [Ring<R, D>; D],
+        new: &mut [Ring<R, D>; D],
+        slab: isize,
+        before_first: bool,
+    ) {
+        for component in 0..D {
+            for row in before.rows(slab) {
+                let above = row.near(D - 1, 1);
+                self.across(&mut on[component], component, D - 1, above);
+                if !before_first {
+                    for (axis, carried) in within.iter_mut().enumerate() {
+                        self.across(carried, component, axis, row);
+                    }
+                }
+            }
+            if before_first {
+                continue;
+            }
+            let on = &on[component];
+            for row in before.rows(slab) {
+                let carried: [[&[R]; 2]; D] = per_axis!(D, |axis| {
+                    let carried = if axis + 1 == D { on } else { &within[axis] };
+                    [carried.row(row), carried.row(row.near(axis, 1))]
+                });
+                let [old, after] = self.fractions;
+                let below = row.near(component, -1);
+                let fractions = [old.row(below), old.row(row), after.row(below), after.row(row)];
+                let u = self.velocity[component].row(row);
+                fill!(
+                    before.layout,
+                    [new = new[component].line(row)],
+                    transport::momentum_row(new, u, carried, fractions, self.shares)
+                );
+            }
+        }
+    }
+
+    /// Momentum of a `component` across the lower sides of a row of its cells along `axis`.
+    fn across(&self, out: &mut Ring<R, D>, component: usize, axis: usize, row: Row<D>) {
+        let below = row.near(component, -1);
+        let (flux, velocity) = (&self.flux[axis], &self.velocity[axis]);
+        fill!(
+            self.layout,
+            [out = out.line(row)],
+            transport::carry_row(
+                out,
+                Line::at(&self.velocity[component], row, axis),
+                [flux.row(below), flux.row(row)],
+                [velocity.row(below), velocity.row(row)],
+                self.courant[axis],
+            )
+        );
+    }
+}
