@@ -24,6 +24,7 @@ const ALLOWED: &[(&str, &str)] = &[
     ("blocking", ""),
     ("series", "blocking"),
     ("statistics", "blocking filter filtered fine grid lanes laws moments rows spectral table"),
+    ("stored", "filter fine grid laws spectral statistics"),
     ("binary", ""),
     ("sums", "binary filtered spectral statistics"),
     ("simulate", "case filter fine grid laws real series spectral statistics two_fluid"),
