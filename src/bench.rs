@@ -7,11 +7,10 @@ use crate::filter::FilterError;
 use crate::fine::FineFields;
 use crate::grid::Grid;
 use crate::laws::drag::DragLaw;
-use crate::laws::scales::Scales;
 use crate::real::Real;
 use crate::rows::{Simd, on_threads, simd_level};
-use crate::simulate::{SimulateError, setup};
-use crate::statistics::{Bins, MergeError, Sampler};
+use crate::simulate::{SimulateError, sampling, setup};
+use crate::statistics::{MergeError, Sampler};
 use crate::two_fluid::{STAGES, StepError, StepReport, TwoFluid};
 use cpu_time::ProcessTime;
 use std::fmt;
@@ -376,10 +375,8 @@ impl<const D: usize> Watch<D> {
         law: Box<dyn DragLaw<f64>>,
         now: f64,
     ) -> Result<Self, FilterError> {
-        let scales = Scales::new(&case.powder, &case.gas, case.physics.gravity);
-        let bins = Bins::new(case.filter.solids_fraction_bin, case.powder.max_packing, None);
         let interval = case.run.sample_interval;
-        let sampler = Sampler::new(grid, law, scales, bins, &case.filter.widths, 4.0 * interval)?;
+        let sampler = Sampler::new(grid, law, sampling(case, false))?;
         Ok(Self { sampler, fine: FineFields::zeros(grid), interval, next: now + interval })
     }
 

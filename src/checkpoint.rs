@@ -6,10 +6,10 @@
 //! same but `[run] duration`, which may be any that has not been passed yet: so a run can be
 //! prolonged. Once the run has its folder, the checkpoint is removed.
 //!
-//! # Format, version 1
+//! # Format, version 2
 //!
-//! Numbers are little-endian. A text is its length (u64) and UTF-8; a list its length (u64) and its
-//! elements. `Signals`, `Cost` and `Sums` are their fields in the order in which they are declared.
+//! Numbers, texts and lists as in all binary files of this program: little-endian, lengths u64.
+//! `Signals` and `Cost` are their fields in the order in which they are declared.
 //!
 //! | what | type |
 //! | --- | --- |
@@ -23,17 +23,19 @@
 //! | simulated time \[s\] | f64 |
 //! | [`Signals`] | four lists of f64 |
 //! | [`Cost`] | u64 and f64 |
-//! | [`Sums`] | lists, f64 and u64; NaN for no slip bins; the number of quantities before the blocks |
+//! | [`Sums`](crate::statistics::Sums) | as in [`sums`](crate::sums) |
 //! | the state of the flow ([`TwoFluid::save_state`](crate::two_fluid::TwoFluid::save_state)) | the rest |
 //! | CRC-32 (IEEE 802.3) of all of the above | u32 |
 
+use crate::binary::{
+    Fault, Source, open, put, put_list, put_text, take, take_list, take_text, write_file,
+};
 use crate::case::Case;
-use crate::filtered::QUANTITY_COUNT;
 use crate::output::beside;
 use crate::simulate::{Cost, Kept, Moment, Signals, Underway, samples};
-use crate::statistics::{BinSums, Bins, BlockSums, PairSums, Sums};
+use crate::sums::{put_sums, take_sums};
 use std::fs::{self, File};
-use std::io::{self, BufReader, BufWriter, ErrorKind, Read, Seek, Write};
+use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -41,7 +43,7 @@ use std::time::{Duration, Instant};
 const MAGIC: &[u8; 8] = b"favrebox";
 
 /// Version of the format.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// Version of the program: another one may compute other bits.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -50,12 +52,6 @@ const VERSION: &str = env!("CARGO_PKG_VERSION");
 const BOX: &str = "box_";
 const STATE: &str = ".state";
 const PARTIAL: &str = ".partial";
-
-/// Bytes of the checksum at the end.
-const CHECKSUM: u64 = 4;
-
-/// Memory between a file and what reads or writes it, a number at a time \[bytes\].
-const BUFFER: usize = 1 << 18;
 
 /// The checkpoints of a run: where they stand, and what they say about the run as a whole.
 #[derive(Debug)]
@@ -344,31 +340,25 @@ impl Checkpoints {
     }
 
     fn write_to(&self, path: &Path, solids_fraction: f64, underway: &Underway) -> io::Result<()> {
-        let file = Summed { inner: File::create(path)?, crc: Crc::new() };
-        let mut file = BufWriter::with_capacity(BUFFER, file);
-        let to = &mut file;
-        to.write_all(MAGIC)?;
-        to.write_all(&FORMAT.to_le_bytes())?;
-        put_text(to, VERSION)?;
-        put_text(to, &self.case)?;
-        put(to, solids_fraction)?;
-        to.write_all(&[u8::from(self.replaces)])?;
-        put(to, self.seconds())?;
-        put(to, underway.time)?;
-        put_signals(to, underway.signals)?;
-        put_cost(to, &underway.cost)?;
-        put_sums(to, underway.sums)?;
-        (underway.write_flow)(to)?;
-        let Summed { inner: mut file, crc } =
-            file.into_inner().map_err(|error| error.into_error())?;
-        file.write_all(&crc.value().to_le_bytes())?;
-        file.sync_all()
+        write_file(path, MAGIC, FORMAT, |to| {
+            put_text(to, VERSION)?;
+            put_text(to, &self.case)?;
+            put(to, solids_fraction)?;
+            to.write_all(&[u8::from(self.replaces)])?;
+            put(to, self.seconds())?;
+            put(to, underway.time)?;
+            put_signals(to, underway.signals)?;
+            put_cost(to, &underway.cost)?;
+            put_sums(to, underway.sums)?;
+            (underway.write_flow)(to)
+        })
     }
 
     /// Reads the file of a box, once all of it has been found to be as it was written.
     fn read(&self, path: &Path) -> Result<(Header, Kept), CheckpointError> {
-        let found = open(path).and_then(|mut file| Ok((Header::read(&mut file)?, file)));
-        let (header, mut file) = found.map_err(|error| error.at(path))?;
+        let found = open(path, MAGIC, FORMAT, "checkpoint of a box")
+            .and_then(|mut file| Ok((Header::read(&mut file)?, file)));
+        let (header, mut file) = found.map_err(|error| at(error, path))?;
         if header.version != VERSION {
             let found = header.version;
             return Err(CheckpointError::Version { path: path.into(), found });
@@ -384,7 +374,7 @@ impl Checkpoints {
             let signals = take_signals(&mut file)?;
             Ok::<_, Fault>((signals, take_cost(&mut file)?, take_sums(&mut file)?))
         };
-        let (signals, cost, sums) = rest().map_err(|error| error.at(path))?;
+        let (signals, cost, sums) = rest().map_err(|error| at(error, path))?;
         let time = header.time;
         Ok((header, Kept { time, signals, cost, sums, flow: Box::new(file) }))
     }
@@ -441,146 +431,17 @@ impl Header {
     }
 }
 
-/// What may be wrong with a file, whichever it is.
-#[derive(Debug)]
-enum Fault {
-    Read(io::Error),
-    Format(u32),
-    Damaged(String),
-}
-
-impl Fault {
-    fn damaged(what: &str) -> Self {
-        Self::Damaged(what.to_owned())
-    }
-
-    fn at(self, path: &Path) -> CheckpointError {
-        let path = path.to_owned();
-        match self {
-            Self::Read(source) => CheckpointError::Read { path, source },
-            Self::Format(found) => CheckpointError::Format { path, found },
-            Self::Damaged(what) => CheckpointError::Damaged { path, what },
-        }
+/// What is wrong with the file at `path`.
+fn at(fault: Fault, path: &Path) -> CheckpointError {
+    let path = path.to_owned();
+    match fault {
+        Fault::Read(source) => CheckpointError::Read { path, source },
+        Fault::Format(found) => CheckpointError::Format { path, found },
+        Fault::Damaged(what) => CheckpointError::Damaged { path, what },
     }
 }
 
-impl From<io::Error> for Fault {
-    fn from(error: io::Error) -> Self {
-        match error.kind() {
-            ErrorKind::UnexpectedEof => Self::damaged("it ends too early"),
-            _ => Self::Read(error),
-        }
-    }
-}
-
-/// Opens a file, checks all of it, and stands behind the version of the format. Beginning and
-/// checksum are the same in every version, so that a damaged file is not taken for one of another.
-fn open(path: &Path) -> Result<Source, Fault> {
-    let mut file = File::open(path)?;
-    let mut magic = [0; MAGIC.len()];
-    file.read_exact(&mut magic)?;
-    if magic != *MAGIC {
-        return Err(Fault::damaged("it is no checkpoint of a box"));
-    }
-    file.rewind()?;
-    let len = file.metadata()?.len();
-    let body = len.checked_sub(CHECKSUM).ok_or_else(|| Fault::damaged("it ends too early"))?;
-    let mut summed = Summed { inner: io::sink(), crc: Crc::new() };
-    io::copy(&mut BufReader::with_capacity(BUFFER, &file).take(body), &mut summed)?;
-    file.seek(io::SeekFrom::Start(body))?;
-    let mut checksum = [0; CHECKSUM as usize];
-    file.read_exact(&mut checksum)?;
-    if summed.crc.value() != u32::from_le_bytes(checksum) {
-        return Err(Fault::damaged("its checksum does not agree: cut short or changed"));
-    }
-    file.seek(io::SeekFrom::Start(MAGIC.len() as u64))?;
-    let rest = body.saturating_sub(MAGIC.len() as u64);
-    let mut source = Source(BufReader::with_capacity(BUFFER, file).take(rest));
-    match u32::from_le_bytes(source.array()?) {
-        FORMAT => Ok(source),
-        found => Err(Fault::Format(found)),
-    }
-}
-
-/// A file that is being read, up to its checksum.
-struct Source(io::Take<BufReader<File>>);
-
-impl Source {
-    fn array<const N: usize>(&mut self) -> Result<[u8; N], Fault> {
-        let mut bytes = [0; N];
-        self.0.read_exact(&mut bytes)?;
-        Ok(bytes)
-    }
-
-    /// The length of a list whose elements take `size` bytes or more: no more than the file has.
-    fn len(&mut self, size: usize) -> Result<usize, Fault> {
-        let len: u64 = take(self)?;
-        match len.checked_mul(size as u64) {
-            Some(bytes) if bytes <= self.0.limit() => Ok(len as usize),
-            _ => Err(Fault::damaged("it ends too early")),
-        }
-    }
-}
-
-impl Read for Source {
-    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
-        self.0.read(bytes)
-    }
-}
-
-/// A number of eight bytes.
-trait Number: Sized {
-    fn bytes(self) -> [u8; 8];
-    fn of(bytes: [u8; 8]) -> Self;
-}
-
-impl Number for u64 {
-    fn bytes(self) -> [u8; 8] {
-        self.to_le_bytes()
-    }
-    fn of(bytes: [u8; 8]) -> Self {
-        Self::from_le_bytes(bytes)
-    }
-}
-
-impl Number for f64 {
-    fn bytes(self) -> [u8; 8] {
-        self.to_le_bytes()
-    }
-    fn of(bytes: [u8; 8]) -> Self {
-        Self::from_le_bytes(bytes)
-    }
-}
-
-fn put(to: &mut impl Write, number: impl Number) -> io::Result<()> {
-    to.write_all(&number.bytes())
-}
-
-fn take<N: Number>(from: &mut Source) -> Result<N, Fault> {
-    Ok(N::of(from.array()?))
-}
-
-fn put_text(to: &mut impl Write, text: &str) -> io::Result<()> {
-    put(to, text.len() as u64)?;
-    to.write_all(text.as_bytes())
-}
-
-fn take_text(from: &mut Source) -> Result<String, Fault> {
-    let mut bytes = vec![0; from.len(1)?];
-    from.0.read_exact(&mut bytes)?;
-    String::from_utf8(bytes).map_err(|_| Fault::damaged("a text in it is not UTF-8"))
-}
-
-fn put_list(to: &mut impl Write, numbers: &[f64]) -> io::Result<()> {
-    put(to, numbers.len() as u64)?;
-    numbers.iter().try_for_each(|number| put(to, *number))
-}
-
-fn take_list(from: &mut Source) -> Result<Vec<f64>, Fault> {
-    (0..from.len(8)?).map(|_| take(from)).collect()
-}
-
-fn put_signals(to: &mut impl Write, signals: &Signals) -> io::Result<()> {
+fn put_signals(to: &mut dyn Write, signals: &Signals) -> io::Result<()> {
     let Signals { time, slip, particle_slip, solids_fraction_variance } = signals;
     [time, slip, particle_slip, solids_fraction_variance]
         .into_iter()
@@ -600,7 +461,7 @@ fn take_signals(from: &mut Source) -> Result<Signals, Fault> {
     if equal { Ok(signals) } else { Err(Fault::damaged("its signals differ in length")) }
 }
 
-fn put_cost(to: &mut impl Write, cost: &Cost) -> io::Result<()> {
+fn put_cost(to: &mut dyn Write, cost: &Cost) -> io::Result<()> {
     let Cost {
         steps,
         pressure_iterations,
@@ -637,95 +498,6 @@ fn take_cost(from: &mut Source) -> Result<Cost, Fault> {
     Ok(cost)
 }
 
-fn put_sums(to: &mut impl Write, sums: &Sums) -> io::Result<()> {
-    let Sums { widths, bins, block_duration, blocks } = sums;
-    put_list(to, widths)?;
-    let Bins { fraction_width, fraction_count, slip_width } = bins;
-    put(to, *fraction_width)?;
-    put(to, *fraction_count as u64)?;
-    put(to, slip_width.unwrap_or(f64::NAN))?;
-    put(to, *block_duration)?;
-    put(to, QUANTITY_COUNT as u64)?;
-    put(to, blocks.len() as u64)?;
-    for BlockSums { place, instants, widths } in blocks {
-        put(to, *place)?;
-        put(to, *instants)?;
-        put(to, widths.len() as u64)?;
-        for visited in widths {
-            put(to, visited.len() as u64)?;
-            visited.iter().try_for_each(|sums| put_bin(to, sums))?;
-        }
-    }
-    Ok(())
-}
-
-fn take_sums(from: &mut Source) -> Result<Sums, Fault> {
-    let widths = take_list(from)?;
-    let fraction_width = take(from)?;
-    let fraction_count = take::<u64>(from)? as usize;
-    let slip_width = Some(take(from)?).filter(|width: &f64| !width.is_nan());
-    let bins = Bins { fraction_width, fraction_count, slip_width };
-    let block_duration = take(from)?;
-    let quantities: u64 = take(from)?;
-    if quantities != QUANTITY_COUNT as u64 {
-        let what = format!("its sums are of {quantities} quantities instead of {QUANTITY_COUNT}");
-        return Err(Fault::Damaged(what));
-    }
-    let blocks = (0..from.len(24)?)
-        .map(|_| {
-            let (place, instants) = (take(from)?, take(from)?);
-            let of_widths = (0..from.len(8)?)
-                .map(|_| (0..from.len(BIN)?).map(|_| take_bin(from)).collect())
-                .collect::<Result<Vec<Vec<BinSums>>, Fault>>()?;
-            let known = of_widths.iter().flatten().all(|sums| sums.bin < bins.len());
-            if of_widths.len() != widths.len() || !known {
-                return Err(Fault::damaged("its sums have other widths or bins than they say"));
-            }
-            Ok(BlockSums { place, instants, widths: of_widths })
-        })
-        .collect::<Result<_, Fault>>()?;
-    Ok(Sums { widths, bins, block_duration, blocks })
-}
-
-/// Bytes of a [`BinSums`].
-const BIN: usize = 8 * (4 + 5 * QUANTITY_COUNT);
-
-fn put_bin(to: &mut impl Write, sums: &BinSums) -> io::Result<()> {
-    let BinSums { bin, positions, solids_fraction, slip, pairs } = sums;
-    put(to, *bin as u64)?;
-    put(to, *positions)?;
-    put(to, *solids_fraction)?;
-    put(to, *slip)?;
-    for pair in pairs {
-        let PairSums { numerator, denominator, numerator_squared, product, denominator_squared } =
-            *pair;
-        [numerator, denominator, numerator_squared, product, denominator_squared]
-            .into_iter()
-            .try_for_each(|number| put(to, number))?;
-    }
-    Ok(())
-}
-
-fn take_bin(from: &mut Source) -> Result<BinSums, Fault> {
-    let mut sums = BinSums {
-        bin: take::<u64>(from)? as usize,
-        positions: take(from)?,
-        solids_fraction: take(from)?,
-        slip: take(from)?,
-        pairs: [PairSums::default(); QUANTITY_COUNT],
-    };
-    for pair in &mut sums.pairs {
-        *pair = PairSums {
-            numerator: take(from)?,
-            denominator: take(from)?,
-            numerator_squared: take(from)?,
-            product: take(from)?,
-            denominator_squared: take(from)?,
-        };
-    }
-    Ok(sums)
-}
-
 /// The first key, but the duration, in which two resolved cases differ, with both values.
 fn difference(theirs: &str, ours: &str) -> Option<(String, String, String)> {
     let (theirs, ours) = (keys(theirs), keys(ours));
@@ -758,81 +530,10 @@ fn sync_folder(dir: &Path) -> io::Result<()> {
     if cfg!(unix) { File::open(dir)?.sync_all() } else { Ok(()) }
 }
 
-/// A writer that sums what it passes on.
-struct Summed<W> {
-    inner: W,
-    crc: Crc,
-}
-
-impl<W: Write> Write for Summed<W> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let written = self.inner.write(bytes)?;
-        self.crc.add(&bytes[..written]);
-        Ok(written)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.inner.flush()
-    }
-}
-
-/// CRC-32 of IEEE 802.3: reflected polynomial 0xEDB88320, eight bytes at a time.
-struct Crc(u32);
-
-/// `TABLES[n][b]`: the sum of byte b followed by n zeros.
-static TABLES: [[u32; 256]; 8] = {
-    let mut tables = [[0; 256]; 8];
-    let mut byte = 0;
-    while byte < 256 {
-        let mut sum = byte as u32;
-        let mut bit = 0;
-        while bit < 8 {
-            sum = (sum >> 1) ^ (if sum & 1 == 1 { 0xEDB8_8320 } else { 0 });
-            bit += 1;
-        }
-        tables[0][byte] = sum;
-        byte += 1;
-    }
-    let mut n = 1;
-    while n < 8 {
-        let mut byte = 0;
-        while byte < 256 {
-            let before = tables[n - 1][byte];
-            tables[n][byte] = (before >> 8) ^ tables[0][(before & 0xFF) as usize];
-            byte += 1;
-        }
-        n += 1;
-    }
-    tables
-};
-
-impl Crc {
-    fn new() -> Self {
-        Self(!0)
-    }
-
-    fn add(&mut self, bytes: &[u8]) {
-        let (chunks, rest) = bytes.as_chunks::<8>();
-        for &[a, b, c, d, e, f, g, h] in chunks {
-            let [a, b, c, d] = (self.0 ^ u32::from_le_bytes([a, b, c, d])).to_le_bytes();
-            self.0 = [h, g, f, e, d, c, b, a]
-                .iter()
-                .zip(&TABLES)
-                .fold(0, |sum, (byte, table)| sum ^ table[usize::from(*byte)]);
-        }
-        for byte in rest {
-            self.0 = (self.0 >> 8) ^ TABLES[0][usize::from(self.0 as u8 ^ byte)];
-        }
-    }
-
-    fn value(&self) -> u32 {
-        !self.0
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::binary::{CHECKSUM, Crc};
     use crate::real::Real;
     use crate::simulate::{SimulateError, Simulated, simulate_from};
     use crate::two_fluid::StateError;
@@ -1057,8 +758,8 @@ mod tests {
             fs::write(file(&base), signed(bytes)).unwrap();
             resume(&base, &case).unwrap_err()
         };
-        let refused = edited(8, 2);
-        assert!(matches!(refused, CheckpointError::Format { found: 2, .. }), "{refused:?}");
+        let refused = edited(8, 3);
+        assert!(matches!(refused, CheckpointError::Format { found: 3, .. }), "{refused:?}");
         let refused = edited(20, b'x');
         let CheckpointError::Version { found, .. } = refused else { panic!("{refused:?}") };
         assert_eq!(found, format!("x{}", &VERSION[1..]));
@@ -1170,18 +871,5 @@ mod tests {
         checkpoints.remove().unwrap();
         let _ = checkpoints.keeper(PHI).keep(Moment::Stop, &underway).unwrap_err();
         assert!(!checkpoints.dir().exists());
-    }
-
-    #[test]
-    fn checksums_are_those_of_ieee_802_3() {
-        let sum = |parts: &[&str]| {
-            let mut crc = Crc::new();
-            parts.iter().for_each(|part| crc.add(part.as_bytes()));
-            crc.value()
-        };
-        assert_eq!(sum(&[]), 0);
-        assert_eq!(sum(&["123456789"]), 0xCBF4_3926);
-        assert_eq!(sum(&["The quick brown fox jumps over the lazy dog"]), 0x414F_A339);
-        assert_eq!(sum(&["The quick brown f", "ox jumps", " over the lazy dog"]), 0x414F_A339);
     }
 }

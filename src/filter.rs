@@ -27,6 +27,17 @@ pub enum FilterError {
         /// Width over cell edge.
         cells: f64,
     },
+    /// A kernel that reaches everywhere, in a box with walls.
+    #[error(
+        "filter.kernel: a {kernel} filter needs a box that is periodic along every axis, and this \
+         one is not along axis {axis}; take the box kernel"
+    )]
+    Walls {
+        /// The kernel.
+        kernel: &'static str,
+        /// The first axis with walls.
+        axis: usize,
+    },
     /// The box filter would overlap its own periodic image, or is empty.
     #[error(
         "filter.widths: a filter of {width} cells along axis {axis} does not fit the box of \
@@ -65,7 +76,10 @@ pub fn width_in_cells<const D: usize>(
 }
 
 /// Whether a filter of `width` cells is not empty and not wider than the box.
-fn fits<const D: usize>(cells: &[usize; D], width: &[usize; D]) -> Result<(), FilterError> {
+pub(crate) fn fits<const D: usize>(
+    cells: &[usize; D],
+    width: &[usize; D],
+) -> Result<(), FilterError> {
     for axis in 0..D {
         if width[axis] == 0 || width[axis] > cells[axis] {
             let (width, cells) = (width[axis], cells[axis]);

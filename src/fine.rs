@@ -5,12 +5,14 @@
 use crate::grid::Grid;
 
 /// Number of independent components of a symmetric tensor in `dimension` dimensions.
+#[inline(always)]
 pub const fn symmetric_components(dimension: usize) -> usize {
     dimension * (dimension + 1) / 2
 }
 
 /// Place of component (i, j) of a symmetric tensor in its list of components: (0,0), (0,1), (1,1),
 /// (0,2), (1,2), (2,2).
+#[inline(always)]
 pub const fn symmetric_index(i: usize, j: usize) -> usize {
     let (low, high) = if i < j { (i, j) } else { (j, i) };
     high * (high + 1) / 2 + low
@@ -21,6 +23,8 @@ pub const fn symmetric_index(i: usize, j: usize) -> usize {
 pub struct FineFields<const D: usize> {
     /// The grid on which the fields are given.
     pub grid: Grid<D>,
+    /// Along which axes the box repeats itself; where it does not, no filter reaches across its end.
+    pub periodic: [bool; D],
     /// Simulated time \[s\].
     pub time: f64,
     /// φ \[-\].
@@ -29,8 +33,8 @@ pub struct FineFields<const D: usize> {
     pub solids_velocity: [Vec<f64>; D],
     /// u_g \[m/s\].
     pub gas_velocity: [Vec<f64>; D],
-    /// Vertical gradient of the gas pressure's periodic part, ∂p/∂y \[Pa/m\].
-    pub vertical_pressure_gradient: Vec<f64>,
+    /// Gradient of the gas pressure, of its periodic part in a periodic box, ∇p \[Pa/m\].
+    pub pressure_gradient: [Vec<f64>; D],
     /// β of the fine-grid drag law in each cell: force on the solids = β (u_g - u_s) \[kg/m³/s\].
     pub drag_coefficient: Vec<f64>,
     /// Granular temperature Θ \[m²/s²\].
@@ -49,11 +53,12 @@ impl<const D: usize> FineFields<D> {
         let zero = || vec![0.0; grid.len()];
         Self {
             grid,
+            periodic: [true; D],
             time: 0.0,
             solids_fraction: zero(),
             solids_velocity: std::array::from_fn(|_| zero()),
             gas_velocity: std::array::from_fn(|_| zero()),
-            vertical_pressure_gradient: zero(),
+            pressure_gradient: std::array::from_fn(|_| zero()),
             drag_coefficient: zero(),
             granular_temperature: zero(),
             solids_pressure: zero(),

@@ -16,6 +16,7 @@ pub mod laws;
 pub mod two_fluid;
 
 pub mod fine;
+pub mod lanes;
 
 pub mod blocking;
 pub mod filter;
@@ -23,8 +24,11 @@ pub mod filtered;
 pub mod moments;
 pub mod series;
 pub mod simulate;
+pub mod spectral;
 pub mod stability;
 pub mod statistics;
+pub mod stored;
+pub mod sums;
 
 pub mod fit;
 pub mod forms;
@@ -32,6 +36,7 @@ pub mod model;
 pub mod table;
 
 pub mod bench;
+pub mod binary;
 pub mod checkpoint;
 pub mod figure;
 pub mod hard;

@@ -10,6 +10,7 @@
 
 use crate::field::{Field, Layout, Row, cells_of};
 use crate::real::Real;
+use rayon::prelude::*;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 /// Rows that one thread does at a time; also the leaf of the reduction tree.
@@ -217,6 +218,27 @@ impl<const D: usize> Rows<D> {
             self.layout.wrap(line);
         }
         result
+    }
+}
+
+/// Calls `kernel(scratch, place, chunk)` for every `length` items of `data`; on several threads of the
+/// current pool if `parallel`, each with a scratch of its own.
+pub(crate) fn each_chunk<T: Send, S>(
+    parallel: bool,
+    data: &mut [T],
+    length: usize,
+    scratch: impl Fn() -> S + Send + Sync,
+    kernel: impl Fn(&mut S, usize, &mut [T]) + Send + Sync,
+) {
+    if parallel {
+        data.par_chunks_mut(length)
+            .enumerate()
+            .for_each_init(scratch, |scratch, (place, chunk)| kernel(scratch, place, chunk));
+    } else {
+        let mut scratch = scratch();
+        for (place, chunk) in data.chunks_mut(length).enumerate() {
+            kernel(&mut scratch, place, chunk);
+        }
     }
 }
 

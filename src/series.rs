@@ -8,7 +8,7 @@
 //! a signal that is quiet nearly to its end, and a single excursion weighs as much as a transient;
 //! [`steady_start`] says what is done about either.
 
-use crate::blocking::{Block, Quantiles, estimate};
+use crate::blocking::{Estimator, Run, correlation_time};
 
 /// Values in a batch.
 const BATCH: usize = 5;
@@ -126,7 +126,7 @@ fn drifts(values: &[f64]) -> bool {
         let n = values.len() as f64;
         let mean = values.iter().sum::<f64>() / n;
         let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / n;
-        (mean, 2.0 * correlation_intervals(values, mean) * variance / n)
+        (mean, 2.0 * correlation_time(&[values.to_vec()]) * variance / n)
     };
     let ((a, a_error), (b, b_error)) = (moments(first), moments(second));
     // Round-off in the means of a constant signal is not a change.
@@ -164,8 +164,7 @@ fn clip(values: &[f64]) -> Vec<f64> {
 pub struct SeriesStatistics {
     /// Mean.
     pub mean: f64,
-    /// Standard error of the mean, from lumps of time as in [`crate::blocking`]; infinite for
-    /// fewer than eight values.
+    /// Standard error of the mean, as in [`crate::blocking`]; infinite for fewer than eight values.
     pub standard_error: f64,
     /// Half the width of the mean's 95 % interval.
     pub half_width_95: f64,
@@ -185,44 +184,18 @@ pub fn mean_with_error(values: &[f64]) -> Option<SeriesStatistics> {
     if values.is_empty() {
         return None;
     }
-    let block = |(place, &numerator): (usize, &f64)| Block {
-        run: 0,
-        place: place as u64,
-        numerator,
-        denominator: 1.0,
-    };
-    let blocks: Vec<Block> = values.iter().enumerate().map(block).collect();
-    let found = estimate(&blocks, &mut Quantiles::default());
+    let run = Run::in_time(values.iter().map(|&value| [value, 1.0]).collect());
+    let found = Estimator::default().estimate(&[run]);
     let sorted = sorted(values);
     Some(SeriesStatistics {
         mean: found.ratio,
         standard_error: found.standard_error,
-        half_width_95: found.half_width_95,
+        half_width_95: found.half_width_95(),
         lower_quartile: quantile(&sorted, 0.25),
         median: quantile(&sorted, 0.5),
         upper_quartile: quantile(&sorted, 0.75),
-        correlation_intervals: correlation_intervals(values, found.ratio),
+        correlation_intervals: found.correlation_time,
     })
-}
-
-/// ½ + Σ ρ(k), k = 1 .. M, the trapezoidal integral of the autocorrelation, with the shortest
-/// window M that is five times the result (Sokal): a longer one would add noise only.
-fn correlation_intervals(values: &[f64], mean: f64) -> f64 {
-    let covariance = |lag: usize| -> f64 {
-        let pairs = values.iter().zip(&values[lag..]);
-        pairs.map(|(a, b)| (a - mean) * (b - mean)).sum()
-    };
-    let variance = covariance(0);
-    let mut time = 0.5;
-    if variance > 0.0 {
-        for lag in 1..values.len() {
-            time += covariance(lag) / variance;
-            if lag as f64 >= 5.0 * time {
-                break;
-            }
-        }
-    }
-    time.max(0.5)
 }
 
 fn sorted(values: &[f64]) -> Vec<f64> {

@@ -7,12 +7,16 @@ use crate::grid::Grid;
 use crate::laws::scales::Scales;
 use crate::real::Real;
 use crate::series::{Onset, steady_start};
-use crate::statistics::{Bins, MergeError, Sampler, Sums};
+use crate::spectral::Kernel;
+use crate::statistics::{Bins, MergeError, Sampler, Sampling, Sums};
 use crate::two_fluid::{Limit, Means, Setup, StateError, StepError, TwoFluid};
 use std::io::{self, Read, Write};
 
 /// Sampling intervals in a block of time, the smallest unit of the error estimate.
 const SAMPLES_PER_BLOCK: f64 = 4.0;
+
+/// Least distance between filter positions in flight \[cells\].
+const CLOSEST: usize = 4;
 
 /// Means over the box at equal intervals of time, the first at t = 0.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
@@ -178,6 +182,24 @@ pub fn setup(case: &Case, solids_fraction: f64, parallel: bool) -> Setup {
     }
 }
 
+/// How `case` asks for its fields to be sampled, in flight.
+pub fn sampling<const D: usize>(case: &Case, parallel: bool) -> Sampling<D> {
+    let Case { powder, gas, filter, run, .. } = case;
+    let slip_bin = filter.markers.contains(&MarkerChoice::Slip).then_some(filter.slip_bin);
+    Sampling {
+        scales: case.scales(),
+        gas_density: gas.density,
+        bins: Bins::new(filter.solids_fraction_bin, powder.max_packing, slip_bin),
+        kernel: Kernel::Box,
+        widths: filter.widths.clone(),
+        block_duration: SAMPLES_PER_BLOCK * run.sample_interval,
+        space: [1; D],
+        periodic: [true; D],
+        closest: CLOSEST,
+        parallel,
+    }
+}
+
 /// Simulates the box of mean solids fraction `solids_fraction`, filtering as it goes. `parallel`
 /// lets a step use the threads of the current pool. `watch` is called after each sample with the
 /// signals so far and the number of steps that this call has done.
@@ -216,7 +238,7 @@ pub fn simulate_from<R: Real, const D: usize>(
     mut keep: impl FnMut(Moment, &Underway),
 ) -> Result<Simulated, SimulateError> {
     let begin = std::time::Instant::now();
-    let Case { powder, gas, domain, physics, filter, run, .. } = case;
+    let Case { powder, gas, domain, physics, run, .. } = case;
     let grid = Grid::new(
         std::array::from_fn::<_, D, _>(|axis| domain.size[axis]),
         std::array::from_fn(|axis| domain.cells[axis]),
@@ -224,11 +246,9 @@ pub fn simulate_from<R: Real, const D: usize>(
     assert_eq!(domain.size.len(), D, "a case of another dimension");
     let scales = Scales::new(powder, gas, physics.gravity);
     let mut flow = TwoFluid::<R, D>::new(grid, setup(case, solids_fraction, parallel));
-    let slip_bin = filter.markers.contains(&MarkerChoice::Slip).then_some(filter.slip_bin);
-    let bins = Bins::new(filter.solids_fraction_bin, powder.max_packing, slip_bin);
     let law = physics.drag.law(gas, powder);
-    let block = SAMPLES_PER_BLOCK * run.sample_interval;
-    let mut sampler = Sampler::new(grid, law, scales, bins, &filter.widths, block)?;
+    let sampling = sampling(case, parallel);
+    let mut sampler = Sampler::new(grid, law, sampling)?;
 
     let mut fine = FineFields::zeros(grid);
     let start = flow.means();

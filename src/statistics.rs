@@ -1,36 +1,129 @@
 //! [`Sampler`], [`Sums`], [`bin_table`]: conditional statistics of the filtered quantities.
 //!
-//! Filter positions are binned by their filtered solids fraction, and by their vertical slip if
-//! asked. Every quantity is a ratio of two sums over a bin's positions; sums are kept per block of
-//! time, so that runs merge, a transient can be cut off afterwards, and errors come from blocks of
-//! time and not from filter positions, which overlap. Nothing is subtracted and no mean is removed
-//! while sampling: merging is adding.
+//! Filter positions are binned by their filtered solids fraction, and by up to two more markers.
+//! Every quantity is a ratio or a slope of sums of [`Term`]s over a bin's positions; sums are kept
+//! per block of time, and of space if asked, so that runs merge, a transient can be cut off
+//! afterwards, and errors come from blocks and not from filter positions, which overlap. Nothing is
+//! subtracted and no mean is removed while sampling: merging is adding.
 
-use serde::{Deserialize, Serialize};
-
-use crate::blocking::{Block, Estimate, Quantiles, estimate};
+use crate::blocking::{Estimate, Estimator, Run};
 use crate::filter::{FilterError, width_in_cells};
-use crate::filtered::{Filtered, QUANTITIES, QUANTITY_COUNT, Quantity};
+use crate::filtered::{
+    Densities, Kind, Moments, QUANTITIES, QUANTITY_COUNT, Quantity, TERM_COUNT, Term, term_count,
+    terms,
+};
 use crate::fine::FineFields;
 use crate::grid::Grid;
+use crate::lanes::{LANES, Lanes, Number, transpose};
 use crate::laws::drag::DragLaw;
 use crate::laws::scales::Scales;
-use crate::moments::MomentFilter;
+use crate::moments::{MomentColumns, MomentFilter};
+use crate::rows::{each_chunk, simd};
+use crate::spectral::Kernel;
 use crate::table::BinRow;
+
+/// What filter positions may be binned by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Marker {
+    /// φ̄.
+    SolidsFraction,
+    /// Vertical filtered slip over u_t.
+    Slip,
+    /// Filtered slip speed over u_t.
+    SlipSpeed,
+    /// Vertical filtered pressure gradient (periodic part) over ρ_s g.
+    PressureGradient,
+    /// Shear rate S of the Favre-filtered solids velocity times u_t/g.
+    ShearRate,
+    /// |∇φ̄| times L_I.
+    FractionGradient,
+    /// Sub-filter variance of φ.
+    Variance,
+}
+
+impl Marker {
+    /// All markers, in the order of their numbers.
+    pub const ALL: [Self; 7] = [
+        Self::SolidsFraction,
+        Self::Slip,
+        Self::SlipSpeed,
+        Self::PressureGradient,
+        Self::ShearRate,
+        Self::FractionGradient,
+        Self::Variance,
+    ];
+
+    /// Name in tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::SolidsFraction => "solids_fraction",
+            Self::Slip => "slip",
+            Self::SlipSpeed => "slip_speed",
+            Self::PressureGradient => "pressure_gradient",
+            Self::ShearRate => "shear_rate",
+            Self::FractionGradient => "solids_fraction_gradient",
+            Self::Variance => "solids_fraction_variance",
+        }
+    }
+
+    /// The term that it is.
+    pub const fn term(self) -> Term {
+        match self {
+            Self::SolidsFraction => Term::SolidsFraction,
+            Self::Slip => Term::Slip,
+            Self::SlipSpeed => Term::SlipSpeed,
+            Self::PressureGradient => Term::PressureGradient,
+            Self::ShearRate => Term::ShearRate,
+            Self::FractionGradient => Term::FractionGradient,
+            Self::Variance => Term::Variance,
+        }
+    }
+
+    /// What it is scaled by.
+    pub const fn kind(self) -> Kind {
+        match self {
+            Self::SolidsFraction | Self::Variance => Kind::Number,
+            Self::Slip | Self::SlipSpeed => Kind::Velocity,
+            Self::PressureGradient => Kind::Force,
+            Self::ShearRate => Kind::Rate,
+            Self::FractionGradient => Kind::Gradient,
+        }
+    }
+}
+
+/// A marker and the edges of its bins.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Axis {
+    /// The marker.
+    pub marker: Marker,
+    /// Edges of the bins, ascending, scaled as the marker says. The first and the last bin also take
+    /// what lies beyond; outermost edges that are infinite say so in the tables.
+    pub edges: Vec<f64>,
+}
+
+impl Axis {
+    /// Number of bins.
+    fn len(&self) -> usize {
+        self.edges.len() - 1
+    }
+
+    /// The bin of a scaled value.
+    #[inline(always)]
+    fn bin(&self, value: f64) -> usize {
+        let inner = &self.edges[1..self.edges.len() - 1];
+        inner.partition_point(|edge| *edge <= value)
+    }
+}
 
 /// Slip bins of width w cover this range of slip / u_t; the first and the last are open.
 const SLIP_RANGE: [f64; 2] = [-2.0, 6.0];
 
-/// Bins of filtered solids fraction and, if asked, of vertical filtered slip.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// Bins of filtered solids fraction and of up to two more markers.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Bins {
-    /// Width of a bin of filtered solids fraction.
-    pub fraction_width: f64,
-    /// Number of bins of filtered solids fraction, from 0 up. The last one also takes what a
-    /// simulator has packed denser than its upper edge.
-    pub fraction_count: usize,
-    /// Width of a bin of slip / u_t; `None` leaves the slip unbinned.
-    pub slip_width: Option<f64>,
+    /// One axis per marker; the first is the solids fraction.
+    pub axes: Vec<Axis>,
 }
 
 impl Bins {
@@ -42,21 +135,22 @@ impl Bins {
     pub fn new(fraction_width: f64, max_packing: f64, slip_width: Option<f64>) -> Self {
         assert!(fraction_width > 0.0 && slip_width.is_none_or(|width| width > 0.0));
         // Round-off in the quotient must not add an empty bin.
-        let fraction_count = ((max_packing / fraction_width - 1e-9).ceil() as usize).max(1);
-        Self { fraction_width, fraction_count, slip_width }
-    }
-
-    /// Number of slip bins; 1 without.
-    fn slip_count(&self) -> usize {
-        match self.slip_width {
-            Some(width) => ((SLIP_RANGE[1] - SLIP_RANGE[0]) / width - 1e-9).ceil() as usize + 2,
-            None => 1,
+        let count = |range: f64, width: f64| ((range / width - 1e-9).ceil() as usize).max(1);
+        let fractions = count(max_packing, fraction_width);
+        let edges = (0..=fractions).map(|edge| edge as f64 * fraction_width).collect();
+        let mut axes = vec![Axis { marker: Marker::SolidsFraction, edges }];
+        if let Some(width) = slip_width {
+            let [low, high] = SLIP_RANGE;
+            let inner = (0..=count(high - low, width)).map(|edge| low + edge as f64 * width);
+            let edges = std::iter::once(f64::NEG_INFINITY).chain(inner).chain([f64::INFINITY]);
+            axes.push(Axis { marker: Marker::Slip, edges: edges.collect() });
         }
+        Self { axes }
     }
 
     /// Number of bins.
     pub fn len(&self) -> usize {
-        self.fraction_count * self.slip_count()
+        self.axes.iter().map(Axis::len).product()
     }
 
     /// Whether there is no bin.
@@ -64,142 +158,151 @@ impl Bins {
         self.len() == 0
     }
 
-    /// The bin of a filtered solids fraction and a slip / u_t. Fraction bins run fastest.
+    /// The bin of a position with these terms, where `per_unit` are the reciprocals of the markers'
+    /// scales. Bins of the first axis run fastest.
     #[inline(always)]
-    pub fn bin(&self, solids_fraction: f64, slip: f64) -> usize {
-        // The conversion saturates: negative round-off falls into the first bin.
-        let fraction = (solids_fraction / self.fraction_width) as usize;
-        let fraction = fraction.min(self.fraction_count - 1);
-        match self.slip_width {
-            Some(width) => {
-                let slip = ((slip - SLIP_RANGE[0]) / width + 1.0) as usize;
-                slip.min(self.slip_count() - 1) * self.fraction_count + fraction
+    fn bin(&self, term: impl Fn(Term) -> f64, per_unit: &[f64]) -> usize {
+        let axes = self.axes.iter().zip(per_unit).rev();
+        axes.fold(0, |bin, (axis, per_unit)| {
+            bin * axis.len() + axis.bin(term(axis.marker.term()) * per_unit)
+        })
+    }
+
+    /// Lower and upper edge of `bin` along each axis.
+    pub fn edges(&self, mut bin: usize) -> Vec<[f64; 2]> {
+        let edges = |axis: &Axis| {
+            let place = bin % axis.len();
+            bin /= axis.len();
+            [axis.edges[place], axis.edges[place + 1]]
+        };
+        self.axes.iter().map(edges).collect()
+    }
+
+    /// Reciprocals of the markers' scales.
+    fn per_unit(&self, scales: &Scales) -> Vec<f64> {
+        self.axes.iter().map(|axis| 1.0 / axis.marker.kind().scale(scales)).collect()
+    }
+}
+
+/// Numbers of a [`Spread`]: how many positions, and Σ num², Σ num den, Σ den² of each quantity.
+pub(crate) const SPREAD: usize = 1 + 3 * QUANTITY_COUNT;
+
+/// One block of time in this many, and one position in as many, tells how far single positions lie
+/// from the mean: it need not be known better.
+const SPREAD_EVERY: u64 = 4;
+
+/// Sums of the bins that were visited at one filter width during one block of time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Visits {
+    /// For each visit its bin, plus the number of bins times its block of space.
+    pub keys: Vec<u32>,
+    /// Sums of the [`Term`]s over the positions: [`TERM_COUNT`] for each visit.
+    pub sums: Vec<f64>,
+    /// For each visit of one block in four the positions looked at, and Σ num², Σ num den and Σ den²
+    /// of each quantity over them; empty in the others.
+    pub spreads: Vec<f64>,
+}
+
+impl Visits {
+    /// The sums of visit number `visit`.
+    fn of(&self, visit: usize) -> &[f64] {
+        &self.sums[visit * TERM_COUNT..][..TERM_COUNT]
+    }
+
+    /// The spread of visit number `visit`; empty if it was not looked at.
+    fn spread(&self, visit: usize) -> &[f64] {
+        self.spreads.get(visit * SPREAD..(visit + 1) * SPREAD).unwrap_or_default()
+    }
+
+    fn push(&mut self, key: u32, spread: bool) {
+        self.keys.push(key);
+        self.sums.resize(self.sums.len() + TERM_COUNT, 0.0);
+        if spread {
+            self.spreads.resize(self.spreads.len() + SPREAD, 0.0);
+        }
+    }
+
+    /// Adds the visits of another piece of the same block.
+    fn merge(&mut self, other: &Self) {
+        for (theirs, &key) in other.keys.iter().enumerate() {
+            let ours = self.keys.iter().position(|ours| *ours == key).unwrap_or_else(|| {
+                self.push(key, !other.spreads.is_empty());
+                self.keys.len() - 1
+            });
+            let add = |ours: &mut [f64], theirs: &[f64]| {
+                ours.iter_mut().zip(theirs).for_each(|(ours, theirs)| *ours += theirs);
+            };
+            add(&mut self.sums[ours * TERM_COUNT..], other.of(theirs));
+            if !self.spreads.is_empty() {
+                add(&mut self.spreads[ours * SPREAD..], other.spread(theirs));
             }
-            None => fraction,
         }
+        self.sort();
     }
 
-    /// Lower and upper edge of solids fraction of `bin`.
-    pub fn fraction_edges(&self, bin: usize) -> [f64; 2] {
-        let fraction = bin % self.fraction_count;
-        [fraction, fraction + 1].map(|edge| edge as f64 * self.fraction_width)
-    }
-
-    /// Lower and upper edge of slip / u_t of `bin`; infinite where open.
-    pub fn slip_edges(&self, bin: usize) -> [f64; 2] {
-        let Some(width) = self.slip_width else { return [f64::NEG_INFINITY, f64::INFINITY] };
-        let slip = bin / self.fraction_count;
-        let edge = |number: usize| SLIP_RANGE[0] + (number as f64 - 1.0) * width;
-        [
-            if slip == 0 { f64::NEG_INFINITY } else { edge(slip) },
-            if slip + 1 == self.slip_count() { f64::INFINITY } else { edge(slip + 1) },
-        ]
-    }
-}
-
-/// Sums over filter positions of one quantity's numerator and denominator.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct PairSums {
-    /// Σ num.
-    pub numerator: f64,
-    /// Σ den.
-    pub denominator: f64,
-    /// Σ num².
-    pub numerator_squared: f64,
-    /// Σ num den.
-    pub product: f64,
-    /// Σ den².
-    pub denominator_squared: f64,
-}
-
-impl PairSums {
-    #[inline(always)]
-    fn add(&mut self, numerator: f64, denominator: f64) {
-        self.numerator += numerator;
-        self.denominator += denominator;
-        self.numerator_squared += numerator * numerator;
-        self.product += numerator * denominator;
-        self.denominator_squared += denominator * denominator;
-    }
-
-    fn merge(&mut self, other: &Self) {
-        self.numerator += other.numerator;
-        self.denominator += other.denominator;
-        self.numerator_squared += other.numerator_squared;
-        self.product += other.product;
-        self.denominator_squared += other.denominator_squared;
-    }
-
-    /// Σ (num - R den)² over the positions: how far single positions lie from the ratio R.
-    fn residual(&self, ratio: f64) -> f64 {
-        let sum = self.numerator_squared - 2.0 * ratio * self.product
-            + ratio * ratio * self.denominator_squared;
-        // Round-off of the difference may leave a trace below zero.
-        sum.max(0.0)
-    }
-}
-
-/// Sums over the filter positions that fell into one bin during one block of time.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct BinSums {
-    /// The bin, see [`Bins::bin`].
-    pub bin: usize,
-    /// Filter positions.
-    pub positions: u64,
-    /// Σ φ̄.
-    pub solids_fraction: f64,
-    /// Σ slip / u_t.
-    pub slip: f64,
-    /// Sums of the quantities, in the order of [`QUANTITIES`].
-    pub pairs: [PairSums; QUANTITY_COUNT],
-}
-
-impl BinSums {
-    fn new(bin: usize) -> Self {
-        let pairs = [PairSums::default(); QUANTITY_COUNT];
-        Self { bin, positions: 0, solids_fraction: 0.0, slip: 0.0, pairs }
-    }
-
-    #[inline(always)]
-    fn add(&mut self, at: &Filtered, slip: f64) {
-        self.positions += 1;
-        self.solids_fraction += at.solids_fraction;
-        self.slip += slip;
-        for (pair, quantity) in self.pairs.iter_mut().zip(&QUANTITIES) {
-            pair.add((quantity.numerator)(at), (quantity.denominator)(at));
-        }
-    }
-
-    fn merge(&mut self, other: &Self) {
-        self.positions += other.positions;
-        self.solids_fraction += other.solids_fraction;
-        self.slip += other.slip;
-        for (pair, other) in self.pairs.iter_mut().zip(&other.pairs) {
-            pair.merge(other);
-        }
+    /// Puts the visits in the order of their keys, whatever the order of the first visits was.
+    fn sort(&mut self) {
+        let mut order: Vec<usize> = (0..self.keys.len()).collect();
+        order.sort_by_key(|&visit| self.keys[visit]);
+        let sums = order.iter().flat_map(|&visit| self.of(visit)).copied().collect();
+        let spreads = order.iter().flat_map(|&visit| self.spread(visit)).copied().collect();
+        let keys = order.iter().map(|&visit| self.keys[visit]).collect();
+        *self = Self { keys, sums, spreads };
     }
 }
 
 /// Sums of one block of time.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct BlockSums {
     /// The block spans the times `place` to `place + 1` block durations.
     pub place: u64,
     /// Instants sampled.
     pub instants: u64,
-    /// For each filter width the bins that were visited, in the order of their first visit.
-    pub widths: Vec<Vec<BinSums>>,
+    /// For each filter width the bins that were visited.
+    pub widths: Vec<Visits>,
 }
 
-/// The mergeable sums of one run, from which every statistic follows.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Sums {
+impl BlockSums {
+    fn sort(&mut self) {
+        self.widths.iter_mut().for_each(Visits::sort);
+    }
+}
+
+/// What the sums of a run are of: runs that agree in it can be pooled.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Layout {
+    /// Simulated dimensions, 2 or 3.
+    pub dimension: usize,
+    /// ρ_s and ρ_g \[kg/m³\].
+    pub densities: [f64; 2],
+    /// The filter kernel.
+    pub kernel: Kernel,
     /// Filter widths Δ_f \[m\].
     pub widths: Vec<f64>,
     /// The bins.
     pub bins: Bins,
     /// Duration of a block of time \[s\].
     pub block_duration: f64,
+    /// Blocks of space along each axis; 1 if space is not divided.
+    pub space: [usize; 3],
+}
+
+impl Layout {
+    /// Blocks of space.
+    fn places(&self) -> usize {
+        self.space.iter().product()
+    }
+
+    fn densities(&self) -> Densities {
+        Densities { solids: self.densities[0], gas: self.densities[1] }
+    }
+}
+
+/// The mergeable sums of one run, from which every statistic follows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sums {
+    /// What they are sums of.
+    pub layout: Layout,
     /// Blocks in the order of time; blocks without a sample are left out.
     pub blocks: Vec<BlockSums>,
 }
@@ -207,6 +310,33 @@ pub struct Sums {
 /// Sums that cannot be put together.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MergeError {
+    /// The dimensions differ.
+    #[error("a run in {ours} dimensions and one in {theirs} are not pooled")]
+    Dimension {
+        /// Dimensions of the first sums.
+        ours: usize,
+        /// Dimensions of the other sums.
+        theirs: usize,
+    },
+    /// The densities differ.
+    #[error(
+        "densities differ: {ours:?} and {theirs:?} kg/m³ of solids and gas; pool runs of one \
+         powder in one gas only"
+    )]
+    Densities {
+        /// Densities of the first sums \[kg/m³\].
+        ours: [f64; 2],
+        /// Densities of the other sums \[kg/m³\].
+        theirs: [f64; 2],
+    },
+    /// The kernels differ.
+    #[error("filter kernels differ: {ours} and {theirs}; pool runs of one kernel only")]
+    Kernel {
+        /// Kernel of the first sums.
+        ours: &'static str,
+        /// Kernel of the other sums.
+        theirs: &'static str,
+    },
     /// The filter widths differ.
     #[error("filter.widths differ: {ours:?} m and {theirs:?} m; pool runs of equal widths only")]
     Widths {
@@ -231,25 +361,61 @@ pub enum MergeError {
         /// Duration of the other sums' blocks \[s\].
         theirs: f64,
     },
+    /// Pieces of a run that is divided differently.
+    #[error("blocks of space differ: {ours:?} and {theirs:?}")]
+    Space {
+        /// Blocks of the first sums.
+        ours: [usize; 3],
+        /// Blocks of the other sums.
+        theirs: [usize; 3],
+    },
 }
 
 impl Sums {
-    fn new(widths: Vec<f64>, bins: Bins, block_duration: f64) -> Self {
-        Self { widths, bins, block_duration, blocks: Vec::new() }
+    /// No sums yet.
+    pub fn new(layout: Layout) -> Self {
+        Self { layout, blocks: Vec::new() }
     }
 
-    /// Whether other sums are of the same widths, bins and blocks.
-    fn matches(&self, other: &Self) -> Result<(), MergeError> {
-        if self.widths != other.widths {
-            let (ours, theirs) = (self.widths.clone(), other.widths.clone());
+    /// Whether other sums are of the same quantities in the same bins.
+    ///
+    /// # Errors
+    /// [`MergeError`] for the first difference.
+    pub fn matches(&self, other: &Self) -> Result<(), MergeError> {
+        let (ours, theirs) = (&self.layout, &other.layout);
+        if ours.dimension != theirs.dimension {
+            let (ours, theirs) = (ours.dimension, theirs.dimension);
+            return Err(MergeError::Dimension { ours, theirs });
+        }
+        if ours.densities != theirs.densities {
+            let (ours, theirs) = (ours.densities, theirs.densities);
+            return Err(MergeError::Densities { ours, theirs });
+        }
+        if ours.kernel != theirs.kernel {
+            let (ours, theirs) = (ours.kernel.name(), theirs.kernel.name());
+            return Err(MergeError::Kernel { ours, theirs });
+        }
+        if ours.widths != theirs.widths {
+            let (ours, theirs) = (ours.widths.clone(), theirs.widths.clone());
             return Err(MergeError::Widths { ours, theirs });
         }
-        if self.bins != other.bins {
-            return Err(MergeError::Bins { ours: self.bins.clone(), theirs: other.bins.clone() });
+        if ours.bins != theirs.bins {
+            let (ours, theirs) = (ours.bins.clone(), theirs.bins.clone());
+            return Err(MergeError::Bins { ours, theirs });
         }
-        if self.block_duration != other.block_duration {
-            let (ours, theirs) = (self.block_duration, other.block_duration);
+        if ours.block_duration != theirs.block_duration {
+            let (ours, theirs) = (ours.block_duration, theirs.block_duration);
             return Err(MergeError::BlockDuration { ours, theirs });
+        }
+        Ok(())
+    }
+
+    /// [`Sums::matches`], and in the same blocks.
+    fn continues(&self, other: &Self) -> Result<(), MergeError> {
+        self.matches(other)?;
+        let (ours, theirs) = (&self.layout, &other.layout);
+        if ours.space != theirs.space {
+            return Err(MergeError::Space { ours: ours.space, theirs: theirs.space });
         }
         Ok(())
     }
@@ -259,21 +425,16 @@ impl Sums {
     /// but handed to [`bin_table`] side by side.
     ///
     /// # Errors
-    /// [`MergeError`] if the widths, bins or block durations differ.
+    /// [`MergeError`] if the widths, bins or blocks differ.
     pub fn merge(&mut self, other: &Self) -> Result<(), MergeError> {
-        self.matches(other)?;
+        self.continues(other)?;
         for theirs in &other.blocks {
             match self.blocks.binary_search_by_key(&theirs.place, |block| block.place) {
                 Ok(found) => {
                     let ours = &mut self.blocks[found];
                     ours.instants += theirs.instants;
                     for (ours, theirs) in ours.widths.iter_mut().zip(&theirs.widths) {
-                        for sums in theirs {
-                            match ours.iter_mut().find(|bin| bin.bin == sums.bin) {
-                                Some(bin) => bin.merge(sums),
-                                None => ours.push(sums.clone()),
-                            }
-                        }
+                        ours.merge(theirs);
                     }
                 }
                 Err(gap) => self.blocks.insert(gap, theirs.clone()),
@@ -284,7 +445,7 @@ impl Sums {
 
     /// Forgets all blocks that began before `time` \[s\].
     pub fn discard_before(&mut self, time: f64) {
-        let first = (time / self.block_duration - BLOCK_TOLERANCE).ceil();
+        let first = (time / self.layout.block_duration - BLOCK_TOLERANCE).ceil();
         self.blocks.retain(|block| block.place as f64 >= first);
     }
 }
@@ -293,11 +454,37 @@ impl Sums {
 /// steps lies a little beside the multiple of the duration that is meant.
 const BLOCK_TOLERANCE: f64 = 1e-6;
 
-/// Filter positions handled together, so that the drag law's loop vectorises.
-const CHUNK: usize = 64;
+/// Filter positions handled together: their terms stay in cache.
+const CHUNK: usize = 4 * LANES;
 
 /// Row of a bin that has not been visited in the current block.
 const UNVISITED: u32 = u32::MAX;
+
+/// How fields are sampled, beside the grid and the drag law.
+#[derive(Clone, Debug)]
+pub struct Sampling<const D: usize> {
+    /// The powder's scales.
+    pub scales: Scales,
+    /// ρ_g \[kg/m³\].
+    pub gas_density: f64,
+    /// The bins.
+    pub bins: Bins,
+    /// The filter kernel.
+    pub kernel: Kernel,
+    /// Filter widths Δ_f \[m\].
+    pub widths: Vec<f64>,
+    /// Duration of a block of time \[s\]: at least a few sampling intervals, and short enough for
+    /// dozens of blocks in a run; it need not exceed the correlation time.
+    pub block_duration: f64,
+    /// Blocks of space along each axis: 1, or a few where instants are fewer than eight.
+    pub space: [usize; D],
+    /// Along which axes the box repeats itself.
+    pub periodic: [bool; D],
+    /// Least distance between filter positions \[cells\].
+    pub closest: usize,
+    /// Whether to use the threads of the current pool.
+    pub parallel: bool,
+}
 
 /// Filters fine fields, in flight, and adds what it finds to [`Sums`].
 #[derive(Clone, Debug)]
@@ -305,38 +492,61 @@ pub struct Sampler<const D: usize, L> {
     filter: MomentFilter<D>,
     law: L,
     scales: Scales,
+    parallel: bool,
     sums: Sums,
-    /// For each width and bin its place in the current block.
+    /// For each width and key its place in the current block.
     rows: Vec<Vec<u32>>,
+    /// For each width and position its block of space, times the number of bins; empty if space is
+    /// not divided.
+    places: Vec<Vec<u32>>,
 }
 
 impl<const D: usize, L: DragLaw<f64>> Sampler<D, L> {
-    /// A sampler of fields on `grid` for filters of `widths` \[m\]. `law` is the fine-grid drag law,
-    /// `block_duration` \[s\] the duration of a block of time: at least a few sampling intervals, and
-    /// short enough for dozens of blocks in a run; it need not exceed the correlation time.
+    /// A sampler of fields on `grid`. `law` is the fine-grid drag law.
     ///
     /// # Errors
     /// [`FilterError`] if a width is not a whole number of cells or exceeds the box.
     ///
     /// # Panics
     /// If the block duration is not positive.
-    pub fn new(
-        grid: Grid<D>,
-        law: L,
-        scales: Scales,
-        bins: Bins,
-        widths: &[f64],
-        block_duration: f64,
-    ) -> Result<Self, FilterError> {
+    pub fn new(grid: Grid<D>, law: L, sampling: Sampling<D>) -> Result<Self, FilterError> {
+        let Sampling { scales, bins, widths, block_duration, space, .. } = sampling;
         assert!(block_duration > 0.0, "block duration {block_duration} s");
         let cells: Vec<[usize; D]> =
             widths.iter().map(|&width| width_in_cells(&grid, width)).collect::<Result<_, _>>()?;
+        let Sampling { kernel, periodic, closest, parallel, .. } = sampling;
+        let filter = MomentFilter::new(grid, periodic, kernel, &cells, closest, parallel)?;
+        let layout = Layout {
+            dimension: D,
+            densities: [scales.density, sampling.gas_density],
+            kernel,
+            widths,
+            bins,
+            block_duration,
+            space: std::array::from_fn(|axis| space.get(axis).copied().unwrap_or(1)),
+        };
+        let keys = layout.bins.len() * layout.places();
+        let places = |number: usize| {
+            let positions = &filter.positions()[number];
+            let place = |n: usize| {
+                let first = positions.first_cell(n);
+                let place = (0..D).rev().fold(0, |place, axis| {
+                    let n = grid.cells[axis];
+                    let middle = (first[axis] + cells[number][axis] / 2) % n;
+                    place * space[axis] + middle * space[axis] / n
+                });
+                (place * layout.bins.len()) as u32
+            };
+            if layout.places() == 1 { vec![] } else { (0..positions.len()).map(place).collect() }
+        };
         Ok(Self {
-            filter: MomentFilter::new(grid, &cells)?,
+            places: (0..cells.len()).map(places).collect(),
+            rows: vec![vec![UNVISITED; keys]; cells.len()],
+            filter,
             law,
             scales,
-            rows: vec![vec![UNVISITED; bins.len()]; widths.len()],
-            sums: Sums::new(widths.to_vec(), bins, block_duration),
+            parallel,
+            sums: Sums::new(layout),
         })
     }
 
@@ -348,15 +558,15 @@ impl<const D: usize, L: DragLaw<f64>> Sampler<D, L> {
     /// Goes on from the sums of an interrupted run, in place of its own, as if never interrupted.
     ///
     /// # Errors
-    /// [`MergeError`] if the widths, bins or block durations differ.
+    /// [`MergeError`] if the widths, bins or blocks differ.
     pub fn resume(&mut self, sums: Sums) -> Result<(), MergeError> {
-        self.sums.matches(&sums)?;
+        self.sums.continues(&sums)?;
         self.sums = sums;
         self.rows.iter_mut().for_each(|rows| rows.fill(UNVISITED));
         if let Some(block) = self.sums.blocks.last() {
-            for (rows, visited) in self.rows.iter_mut().zip(&block.widths) {
-                for (place, sums) in visited.iter().enumerate() {
-                    rows[sums.bin] = place as u32;
+            for (rows, visits) in self.rows.iter_mut().zip(&block.widths) {
+                for (place, &key) in visits.keys.iter().enumerate() {
+                    rows[key as usize] = place as u32;
                 }
             }
         }
@@ -364,7 +574,10 @@ impl<const D: usize, L: DragLaw<f64>> Sampler<D, L> {
     }
 
     /// The sums, at the end.
-    pub fn into_sums(self) -> Sums {
+    pub fn into_sums(mut self) -> Sums {
+        if let Some(block) = self.sums.blocks.last_mut() {
+            block.sort();
+        }
         self.sums
     }
 
@@ -373,57 +586,144 @@ impl<const D: usize, L: DragLaw<f64>> Sampler<D, L> {
     /// # Panics
     /// If the fields are not on the sampler's grid.
     pub fn sample(&mut self, fields: &FineFields<D>) {
-        let place = (fields.time / self.sums.block_duration + BLOCK_TOLERANCE).max(0.0) as u64;
+        let layout = &self.sums.layout;
+        let place = (fields.time / layout.block_duration + BLOCK_TOLERANCE).max(0.0) as u64;
         if self.sums.blocks.last().is_none_or(|block| block.place != place) {
-            let widths = vec![Vec::new(); self.sums.widths.len()];
+            if let Some(block) = self.sums.blocks.last_mut() {
+                block.sort();
+            }
+            let widths = vec![Visits::default(); layout.widths.len()];
             self.sums.blocks.push(BlockSums { place, instants: 0, widths });
             self.rows.iter_mut().for_each(|rows| rows.fill(UNVISITED));
         }
         self.filter.filter(fields);
         let Some(block) = self.sums.blocks.last_mut() else { return };
         block.instants += 1;
-
-        let bins = &self.sums.bins;
-        let per_velocity = 1.0 / self.scales.terminal_velocity;
-        for (number, columns) in self.filter.moments().iter().enumerate() {
-            let (width, sums) = (self.sums.widths[number], &mut block.widths[number]);
-            let rows = &mut self.rows[number];
-            for start in (0..columns.len()).step_by(CHUNK) {
-                let len = CHUNK.min(columns.len() - start);
-                let mut fraction = [0.0; CHUNK];
-                let mut speed = [0.0; CHUNK];
-                for n in 0..len {
-                    let moments = columns.at(start + n);
-                    fraction[n] = moments.solids_fraction;
-                    speed[n] = moments.slip_speed();
-                }
-                let mut beta = [0.0; CHUNK];
-                self.law.betas(&mut beta, &fraction, &speed);
-                for (n, &beta) in beta[..len].iter().enumerate() {
-                    let moments = columns.at(start + n);
-                    let at = Filtered::new(&moments, beta, self.scales.density, width);
-                    let slip = at.slip * per_velocity;
-                    let bin = bins.bin(at.solids_fraction, slip);
-                    if rows[bin] == UNVISITED {
-                        rows[bin] = sums.len() as u32;
-                        sums.push(BinSums::new(bin));
+        let spread = block.place.is_multiple_of(SPREAD_EVERY);
+        let per_unit = layout.bins.per_unit(&self.scales);
+        let mut widths: Vec<_> =
+            block.widths.iter_mut().zip(&mut self.rows).zip(&self.places).enumerate().collect();
+        let (filter, law) = (&self.filter, &self.law);
+        let scratch = || vec![[Lanes::of(0.0); TERM_COUNT]; CHUNK / LANES];
+        each_chunk(self.parallel, &mut widths, 1, scratch, |terms, _, of_width| {
+            for (number, ((visits, rows), places)) in of_width {
+                let columns = filter.moments(*number);
+                for start in (0..columns.len()).step_by(CHUNK) {
+                    let len = CHUNK.min(columns.len() - start);
+                    let (mut fraction, mut speed) = ([0.0; CHUNK], [0.0; CHUNK]);
+                    slip_speeds(&mut fraction, &mut speed, &columns, start);
+                    let mut beta = [0.0; CHUNK];
+                    law.betas(&mut beta, &fraction, &speed);
+                    evaluate(terms, &columns, start, &beta, layout.densities());
+                    let mut visited = [0; CHUNK];
+                    for (n, visited) in visited[..len].iter_mut().enumerate() {
+                        let terms = &terms[n / LANES];
+                        let marker = |term: Term| terms[term as usize].0[n % LANES];
+                        let place = places.get(start + n).copied().unwrap_or(0);
+                        let key = place + layout.bins.bin(marker, &per_unit) as u32;
+                        let row = &mut rows[key as usize];
+                        if *row == UNVISITED {
+                            *row = visits.keys.len() as u32;
+                            visits.push(key, spread);
+                        }
+                        *visited = *row;
                     }
-                    sums[rows[bin] as usize].add(&at, slip);
+                    add_terms(&mut visits.sums, &visited[..len], terms, term_count(D));
+                    if spread {
+                        let width = layout.widths[*number];
+                        let factors: [f64; QUANTITY_COUNT] = std::array::from_fn(|quantity| {
+                            QUANTITIES[quantity].formula.factor(layout.densities(), width)
+                        });
+                        for n in (0..len).step_by(SPREAD_EVERY as usize) {
+                            let terms: [f64; TERM_COUNT] =
+                                std::array::from_fn(|term| terms[n / LANES][term].0[n % LANES]);
+                            let spread = &mut visits.spreads[visited[n] as usize * SPREAD..];
+                            add_spread(&mut spread[..SPREAD], &terms, &factors);
+                        }
+                    }
+                }
+            }
+        });
+    }
+}
+
+simd! {
+    /// φ̄ and |s| at the positions from `start` on.
+    fn slip_speeds[const D: usize](
+        fraction: &mut [f64; CHUNK],
+        speed: &mut [f64; CHUNK],
+        columns: &MomentColumns<'_, D>,
+        start: usize,
+    ) {
+        let len = CHUNK.min(columns.len() - start);
+        for n in (0..len).step_by(LANES) {
+            let [phi, slip] = columns.slip_speed_at(start + n);
+            phi.store(&mut fraction[n..]);
+            slip.store(&mut speed[n..]);
+        }
+    }
+}
+
+simd! {
+    /// The terms at the positions from `start` on, eight positions at a time.
+    fn evaluate[const D: usize](
+        out: &mut [[Lanes; TERM_COUNT]],
+        columns: &MomentColumns<'_, D>,
+        start: usize,
+        beta: &[f64; CHUNK],
+        densities: Densities,
+    ) {
+        let len = CHUNK.min(columns.len() - start);
+        let mut moments = Moments::zeros();
+        for n in (0..len).step_by(LANES) {
+            columns.load(start + n, &mut moments);
+            terms(&moments, Lanes::load(&beta[n..]), densities, &mut out[n / LANES]);
+        }
+    }
+}
+
+simd! {
+    /// Adds the terms of each position, `count` of them, to the sums of its visit.
+    fn add_terms[](
+        sums: &mut [f64],
+        visits: &[u32],
+        terms: &[[Lanes; TERM_COUNT]],
+        count: usize,
+    ) {
+        for (visits, terms) in visits.chunks(LANES).zip(terms) {
+            let terms = &terms[..count];
+            for (number, terms) in terms.as_chunks::<LANES>().0.iter().enumerate() {
+                let positions = transpose(terms);
+                for (&visit, terms) in visits.iter().zip(&positions) {
+                    let sums = &mut sums[visit as usize * TERM_COUNT + number * LANES..][..LANES];
+                    (Lanes::load(sums) + *terms).store(sums);
                 }
             }
         }
     }
 }
 
+/// Adds a position to the spread of its visit.
+fn add_spread(spread: &mut [f64], terms: &[f64], factors: &[f64; QUANTITY_COUNT]) {
+    spread[0] += 1.0;
+    let quantities = QUANTITIES.iter().zip(factors);
+    for ((quantity, &factor), spread) in quantities.zip(spread[1..].chunks_exact_mut(3)) {
+        let [numerator, denominator] = quantity.formula.pair(terms, [0.0; 2], factor);
+        spread[0] += numerator * numerator;
+        spread[1] += numerator * denominator;
+        spread[2] += denominator * denominator;
+    }
+}
+
 /// The bin table of several runs' sums, pooled: one row per quantity, filter width and visited bin,
-/// in this order, slip bins before fraction bins.
+/// in this order, bins of the first marker fastest.
 ///
-/// Errors are those of [`estimate`]: a bin seen in fewer than
-/// [`MINIMUM_LUMPS`](crate::blocking::MINIMUM_LUMPS) blocks keeps its row, with its value, an
-/// infinite error and no effective samples. `effective_samples` is the variance of a single filter
-/// position's residual over the squared standard error: the number of independent positions that
-/// would give the same error. A quantity whose denominator vanishes throughout a bin, such as a
-/// viscosity without shear, has no row.
+/// Errors are those of [`Estimator`]: a bin of which too few blocks tell keeps its row, with its
+/// value, an infinite error and no effective samples. `effective_samples` is the variance of a
+/// single filter position's residual over the squared standard error: the number of independent
+/// positions that would give the same error; of a slope, and where no spread was seen, the number
+/// of independent blocks that its error is from. A quantity whose denominator vanishes throughout a
+/// bin, such as a viscosity without shear, has no row.
 ///
 /// # Errors
 /// [`MergeError`] if the runs' widths, bins or block durations differ.
@@ -432,24 +732,33 @@ pub fn bin_table(runs: &[Sums], scales: &Scales) -> Result<Vec<BinRow>, MergeErr
     for run in runs {
         first.matches(run)?;
     }
-    let visits: Vec<Vec<Vec<Visit>>> =
-        (0..first.widths.len()).map(|width| visits(runs, width)).collect();
-    let mut quantiles = Quantiles::default();
-    let mut blocks = Vec::new();
+    let widths = 0..first.layout.widths.len();
+    let visited: Vec<Vec<BinVisits>> = widths.map(|width| visits(runs, width)).collect();
+    let mut estimator = Estimator::default();
     let mut rows = Vec::new();
-    for quantity in 0..QUANTITY_COUNT {
-        for (&width, visits) in first.widths.iter().zip(&visits) {
-            for visits in visits.iter().filter(|visits| !visits.is_empty()) {
-                blocks.clear();
-                blocks.extend(visits.iter().map(|visit| Block {
-                    run: visit.run,
-                    place: visit.place,
-                    numerator: visit.sums.pairs[quantity].numerator,
-                    denominator: visit.sums.pairs[quantity].denominator,
-                }));
-                let found = estimate(&blocks, &mut quantiles);
+    for (number, quantity) in QUANTITIES.iter().enumerate() {
+        if quantity.only_3d && first.layout.dimension < 3 {
+            continue;
+        }
+        for (&width, bins) in first.layout.widths.iter().zip(&visited) {
+            let factor = quantity.formula.factor(first.layout.densities(), width);
+            for visits in bins {
+                let mean = quantity.formula.mean(&visits.total);
+                let pair = |sums: &[f64]| quantity.formula.pair(sums, mean, factor);
+                let found = estimator.estimate(&visits.blocks(runs, pair));
                 if found.ratio.is_finite() {
-                    rows.push(row(quantity, width, visits, &found, &first.bins, scales));
+                    let spread = visits.spread(number, found.ratio);
+                    let denominator = pair(&visits.total)[1];
+                    let layout = &first.layout;
+                    rows.push(row(
+                        quantity,
+                        width,
+                        visits,
+                        &found,
+                        (spread, denominator),
+                        layout,
+                        scales,
+                    ));
                 }
             }
         }
@@ -457,69 +766,122 @@ pub fn bin_table(runs: &[Sums], scales: &Scales) -> Result<Vec<BinRow>, MergeErr
     Ok(rows)
 }
 
-/// A bin's sums in one block of one run.
-struct Visit<'a> {
+/// What was seen of a bin in one block.
+struct Seen<'a> {
     run: usize,
-    place: u64,
-    sums: &'a BinSums,
+    block: usize,
+    /// The block of space.
+    place: usize,
+    sums: &'a [f64],
+    spread: &'a [f64],
 }
 
-/// For each bin its visits at filter width number `width`, ordered by run and time.
-fn visits(runs: &[Sums], width: usize) -> Vec<Vec<Visit<'_>>> {
-    let bins = runs.first().map_or(0, |run| run.bins.len());
-    let mut visits: Vec<Vec<Visit>> = (0..bins).map(|_| Vec::new()).collect();
+/// What all runs saw of one bin at one width.
+struct BinVisits<'a> {
+    bin: usize,
+    /// In the order of runs, blocks and blocks of space.
+    seen: Vec<Seen<'a>>,
+    /// Sums of all of them.
+    total: Vec<f64>,
+}
+
+impl BinVisits<'_> {
+    /// Numerators and denominators of every block of the runs that visited the bin.
+    fn blocks(&self, runs: &[Sums], pair: impl Fn(&[f64]) -> [f64; 2]) -> Vec<Run> {
+        let of_run = |seen: &[Seen]| {
+            let run = &runs[seen[0].run];
+            let places = run.layout.places();
+            // A block that did not visit the bin saw nothing there.
+            let mut sums = vec![[0.0; 2]; run.blocks.len() * places];
+            for seen in seen {
+                sums[seen.block * places + seen.place] = pair(seen.sums);
+            }
+            Run { space: run.layout.space, sums }
+        };
+        self.seen.chunk_by(|a, b| a.run == b.run).map(of_run).collect()
+    }
+
+    /// Mean of (num - R den)² over the positions that were looked at; none if none was.
+    fn spread(&self, quantity: usize, ratio: f64) -> Option<f64> {
+        let (mut positions, mut squares) = (0.0, 0.0);
+        for spread in self.seen.iter().map(|seen| seen.spread).filter(|spread| !spread.is_empty()) {
+            let [numerator, product, denominator] =
+                std::array::from_fn(|part| spread[1 + 3 * quantity + part]);
+            positions += spread[0];
+            squares += numerator - 2.0 * ratio * product + ratio * ratio * denominator;
+        }
+        // Round-off of the difference may leave a trace below zero.
+        (positions > 0.0).then(|| squares.max(0.0) / positions)
+    }
+}
+
+/// The bins that were visited at filter width number `width`, in their order.
+fn visits(runs: &[Sums], width: usize) -> Vec<BinVisits<'_>> {
+    let bins = runs.first().map_or(0, |run| run.layout.bins.len());
+    let empty = |bin| BinVisits { bin, seen: Vec::new(), total: vec![0.0; TERM_COUNT] };
+    let mut visited: Vec<BinVisits> = (0..bins).map(empty).collect();
     for (number, run) in runs.iter().enumerate() {
-        for block in &run.blocks {
-            for sums in &block.widths[width] {
-                visits[sums.bin].push(Visit { run: number, place: block.place, sums });
+        for (block, of_block) in run.blocks.iter().enumerate() {
+            let visits = &of_block.widths[width];
+            for (visit, &key) in visits.keys.iter().enumerate() {
+                let (bin, place) = (key as usize % bins, key as usize / bins);
+                let (sums, spread) = (visits.of(visit), visits.spread(visit));
+                visited[bin].seen.push(Seen { run: number, block, place, sums, spread });
+                for (total, sum) in visited[bin].total.iter_mut().zip(sums) {
+                    *total += sum;
+                }
             }
         }
     }
-    visits
+    visited.retain(|bin| !bin.seen.is_empty());
+    visited
 }
 
 /// The row of a quantity in a bin that was visited.
 fn row(
-    quantity: usize,
+    quantity: &Quantity,
     width: f64,
-    visits: &[Visit],
+    visits: &BinVisits,
     found: &Estimate,
-    bins: &Bins,
+    (spread, denominator): (Option<f64>, f64),
+    layout: &Layout,
     scales: &Scales,
 ) -> BinRow {
-    let mut total = visits[0].sums.clone();
-    visits[1..].iter().for_each(|visit| total.merge(visit.sums));
-    let pair = &total.pairs[quantity];
-    let positions = total.positions as f64;
-    let deviation = pair.residual(found.ratio) * positions / (pair.denominator * pair.denominator);
-    let effective_samples = if found.standard_error > 0.0 {
-        deviation / found.standard_error.powi(2)
-    } else {
+    let sum = |term: Term| visits.total[term as usize];
+    let positions = sum(Term::Positions);
+    let effective_samples = match spread {
+        _ if found.standard_error.is_infinite() => 0.0,
         // No block deviates at all: nothing says that the positions are correlated.
-        positions
+        _ if found.standard_error == 0.0 => positions,
+        Some(spread) if !matches!(quantity.formula, crate::filtered::Formula::Slope { .. }) => {
+            spread * (positions / (denominator * found.standard_error)).powi(2)
+        }
+        _ => found.freedom + 1.0,
     };
-    let Quantity { name, kind, map, .. } = QUANTITIES[quantity];
-    let value = map.value(found.ratio);
-    let [solids_fraction_low, solids_fraction_high] = bins.fraction_edges(total.bin);
-    let [slip_low, slip_high] = bins.slip_edges(total.bin);
+    let value = quantity.map.value(found.ratio);
+    let [low_95, high_95] = quantity.map.interval(found.interval_95);
+    let edges = layout.bins.edges(visits.bin);
+    let of = |marker: Marker| layout.bins.axes.iter().position(|axis| axis.marker == marker);
+    let [slip_low, slip_high] =
+        of(Marker::Slip).map_or([f64::NEG_INFINITY, f64::INFINITY], |axis| edges[axis]);
     BinRow {
-        quantity: name.to_owned(),
-        unit: kind.unit().to_owned(),
+        quantity: quantity.name.to_owned(),
+        unit: quantity.kind.unit().to_owned(),
         filter_width: width,
         filter_width_l_i: width / scales.length_i(),
         filter_width_l_ii: width / scales.length_ii(),
-        solids_fraction: total.solids_fraction / positions,
-        solids_fraction_low,
-        solids_fraction_high,
-        slip: total.slip / positions,
+        solids_fraction: sum(Term::SolidsFraction) / positions,
+        solids_fraction_low: edges[0][0],
+        solids_fraction_high: edges[0][1],
+        slip: sum(Term::Slip) / positions / scales.terminal_velocity,
         slip_low,
         slip_high,
         value,
         standard_error: found.standard_error,
-        low_95: value - found.half_width_95,
-        high_95: value + found.half_width_95,
-        value_scaled: value / kind.scale(scales),
-        samples: total.positions,
+        low_95,
+        high_95,
+        value_scaled: value / quantity.kind.scale(scales),
+        samples: positions as u64,
         effective_samples,
     }
 }
@@ -535,13 +897,27 @@ mod tests {
         Scales::new(&POWDER, &GAS, 9.81)
     }
 
+    fn sampling<const D: usize>(widths: &[f64], slip: Option<f64>) -> Sampling<D> {
+        Sampling {
+            scales: scales(),
+            gas_density: GAS.density,
+            bins: Bins::new(0.05, POWDER.max_packing, slip),
+            kernel: Kernel::Box,
+            widths: widths.to_vec(),
+            block_duration: 0.01,
+            space: [1; D],
+            periodic: [true; D],
+            closest: 2,
+            parallel: false,
+        }
+    }
+
     fn sampler<const D: usize>(
         grid: Grid<D>,
         widths: &[f64],
         slip: Option<f64>,
     ) -> Sampler<D, WenYu<f64>> {
-        let bins = Bins::new(0.05, POWDER.max_packing, slip);
-        Sampler::new(grid, WenYu::new(&GAS, &POWDER), scales(), bins, widths, 0.01).unwrap()
+        Sampler::new(grid, WenYu::new(&GAS, &POWDER), sampling(widths, slip)).unwrap()
     }
 
     fn sampled<const D: usize>(
@@ -625,11 +1001,10 @@ mod tests {
     fn overlapping_positions_are_not_counted_as_independent() {
         let grid = Grid::new([0.064, 0.064], [32, 32]);
         let rows = bin_table(&[sampled(grid, &[0.002, 0.008], None, 0..128)], &scales()).unwrap();
-        // Independent cells, at independent instants, are worth what they are: the error is the
-        // largest of several estimates, so that somewhat less is found.
+        // Independent cells, at independent instants, are worth what they are.
         let share = |width: f64| {
             let rows = rows_of(&rows, "granular_temperature", width);
-            let often = rows.iter().filter(|row| row.samples > 20_000);
+            let often = rows.iter().filter(|row| row.samples > 5_000);
             let shares: Vec<f64> =
                 often.map(|row| row.effective_samples / row.samples as f64).collect();
             assert!(!shares.is_empty());
@@ -637,8 +1012,8 @@ mod tests {
         };
         let (single, overlapping) = (share(0.002), share(0.008));
         assert!((0.4..1.2).contains(&single), "{single}");
-        // Filters of 4 x 4 cells at every cell: 16 positions share a filter's volume.
-        assert!((0.05 * single..0.35 * single).contains(&overlapping), "{overlapping} {single}");
+        // Filters of 4 x 4 cells at every second cell: 4 positions share a filter's volume.
+        assert!((0.15 * single..0.6 * single).contains(&overlapping), "{overlapping} {single}");
     }
 
     #[test]
@@ -715,7 +1090,8 @@ mod tests {
         let one = sampled(grid, &[0.004], None, 0..1);
         let widths = sampled(grid, &[0.008], None, 0..1);
         let bins = sampled(grid, &[0.004], Some(0.1), 0..1);
-        let duration = Sums { block_duration: 0.02, ..one.clone() };
+        let mut duration = one.clone();
+        duration.layout.block_duration = 0.02;
         let error = |other: Sums| bin_table(&[one.clone(), other], &scales()).unwrap_err();
         assert!(matches!(error(widths), MergeError::Widths { .. }));
         assert!(matches!(error(bins), MergeError::Bins { .. }));
@@ -754,13 +1130,17 @@ mod tests {
     #[test]
     fn bins_hold_what_falls_into_them() {
         let bins = Bins::new(0.05, 0.65, Some(0.5));
-        assert_eq!((bins.fraction_count, bins.len()), (13, 13 * 18));
-        for fraction in [-1e-18, 0.0, 0.12, 0.649, 0.7] {
+        // 16 slip bins and two open ones.
+        assert_eq!((bins.axes[0].len(), bins.len()), (13, 13 * 18));
+        let (mut terms, per_unit) = ([0.0; TERM_COUNT], [1.0, 2.0]);
+        for fraction in [-1e-18f64, 0.0, 0.12, 0.649, 0.7] {
             for slip in [-9.0, -2.0, -0.3, 0.0, 0.7, 5.99, 6.5] {
-                let bin = bins.bin(fraction, slip);
-                let [low, high] = bins.slip_edges(bin);
+                terms[Term::SolidsFraction as usize] = fraction;
+                terms[Term::Slip as usize] = 0.5 * slip;
+                let edges = bins.edges(bins.bin(|term| terms[term as usize], &per_unit));
+                let [low, high] = edges[1];
                 assert!(low <= slip && slip < high, "{low} {slip} {high}");
-                let [low, high] = bins.fraction_edges(bin);
+                let [low, high] = edges[0];
                 let inside = fraction.clamp(0.0, 0.65 - 1e-12);
                 assert!(low <= inside && inside < high, "{low} {fraction} {high}");
             }

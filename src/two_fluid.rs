@@ -588,8 +588,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let mut cell = 0;
         for row in (0..layout.rows()).map(|row| layout.row(row)) {
             let (phi, theta) = (self.phi.row(row), self.theta.row(row));
-            let above = self.pressure.row(row.near(D - 1, 1));
-            let below = self.pressure.row(row.near(D - 1, -1));
+            let above: [_; D] = std::array::from_fn(|a| self.pressure.row(row.near(a, 1)));
+            let below: [_; D] = std::array::from_fn(|a| self.pressure.row(row.near(a, -1)));
             for i in 0..self.grid.cells[0] {
                 let (phi, theta) = (phi[i].f64(), theta[i].f64());
                 let mut slip_squared = 0.0;
@@ -601,14 +601,14 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
                     fine.gas_velocity[a][cell] = ug;
                     slip_squared += (ug - us).powi(2);
                     divergence += strain(a, row, i);
+                    fine.pressure_gradient[a][cell] =
+                        (above[a][i].f64() - below[a][i].f64()) / (2.0 * h[a]);
                 }
                 let drag = self.law.beta_per_fraction(phi, slip_squared.sqrt());
                 let g0 = self.contact.radial_distribution(phi);
                 let transport = theory.transport(phi, g0, theta, drag);
                 fine.solids_fraction[cell] = phi;
                 fine.granular_temperature[cell] = theta;
-                fine.vertical_pressure_gradient[cell] =
-                    (above[i].f64() - below[i].f64()) / (2.0 * h[D - 1]);
                 fine.drag_coefficient[cell] = phi * drag;
                 fine.solids_pressure[cell] = theory.pressure(phi, g0, theta)
                     + self.contact.frictional_pressure(phi)

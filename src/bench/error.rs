@@ -7,17 +7,16 @@
 //! length.
 
 use super::{BenchError, SOLIDS_FRACTION, name};
-use crate::blocking::{Block, Quantiles, estimate};
+use crate::blocking::{self, Estimator};
 use crate::case::{
     Case, DEFAULT, DragChoice, FrictionChoice, Physics, Precision, RadialDistributionChoice,
 };
 use crate::fine::FineFields;
 use crate::grid::Grid;
-use crate::laws::scales::Scales;
 use crate::real::Real;
 use crate::series::Onset;
-use crate::simulate::{Signals, setup};
-use crate::statistics::{Bins, Sampler, Sums, bin_table};
+use crate::simulate::{Signals, sampling, setup};
+use crate::statistics::{Sampler, Sums, bin_table};
 use crate::two_fluid::TwoFluid;
 use serde::Serialize;
 use std::fmt;
@@ -269,12 +268,8 @@ fn one<R: Real>(case: &Case, variant: &Variant, step: f64) -> Result<Point, Benc
             run.signals.slip.iter().map(|slip| slip / scales.terminal_velocity).collect();
         let signals = [&slip, &run.signals.solids_fraction_variance];
         for (blocks, signal) in blocks.iter_mut().zip(signals) {
-            blocks.extend(signal[from..].iter().enumerate().map(|(place, &numerator)| Block {
-                run: seed as usize,
-                place: place as u64,
-                numerator,
-                denominator: 1.0,
-            }));
+            let values = signal[from..].iter().map(|&value| [value, 1.0]);
+            blocks.push(blocking::Run::in_time(values.collect()));
         }
         let mut own = run.sums;
         own.discard_before(start);
@@ -288,13 +283,13 @@ fn one<R: Real>(case: &Case, variant: &Variant, step: f64) -> Result<Point, Benc
     let per_simulated_second = spent.seconds / simulated;
     let cells = (variant.cells[0] * variant.cells[1]) as f64;
     let one_percent = |value: f64, error: f64| spent.seconds * (error / (0.01 * value)).powi(2);
-    let mut quantiles = Quantiles::default();
-    let mut signal = |blocks: &[Block]| {
-        let found = estimate(blocks, &mut quantiles);
+    let mut estimator = Estimator::default();
+    let mut signal = |runs: &[blocking::Run]| {
+        let found = estimator.estimate(runs);
         Found {
             value: found.ratio,
             standard_error: found.standard_error,
-            half_width_95: found.half_width_95,
+            half_width_95: found.half_width_95(),
             one_percent: one_percent(found.ratio, found.standard_error),
         }
     };
@@ -347,12 +342,9 @@ fn simulate<R: Real>(case: &Case, variant: &Variant, longest: f64) -> Result<Run
     let grid = Grid::new([case.domain.size[0], case.domain.size[1]], variant.cells);
     let mut flow = TwoFluid::<R, 2>::new(grid, setup(case, SOLIDS_FRACTION, false))
         .with_tolerance(variant.tolerance);
-    let scales = Scales::new(&case.powder, &case.gas, case.physics.gravity);
-    let bins = Bins::new(case.filter.solids_fraction_bin, case.powder.max_packing, None);
     let law = case.physics.drag.law(&case.gas, &case.powder);
     let interval = case.run.sample_interval;
-    let widths = &case.filter.widths;
-    let mut sampler = Sampler::new(grid, law, scales, bins, widths, 4.0 * interval)?;
+    let mut sampler = Sampler::new(grid, law, sampling(case, false))?;
     let mut fine = FineFields::zeros(grid);
     let (mut signals, mut spent) = (Signals::default(), Vec::new());
     let mut so_far = Spent::default();
