@@ -391,10 +391,44 @@ impl Case {
         Self::parse_at(text, name, name)
     }
 
+    /// The case of fields that were made elsewhere, in a box of edges `size` \[m\] with `cells` cells
+    /// and the mean solids fraction `solids_fraction`: from `text`, a case file without `[box]`, and
+    /// where it has no `[run]` with samples every `interval` \[s\]. The box need not be one that Favre
+    /// would simulate. `place` stands for the file in messages.
+    ///
+    /// # Errors
+    /// As [`Case::parse`].
+    pub fn of_fields(
+        text: &str,
+        place: &str,
+        size: Vec<f64>,
+        cells: Vec<usize>,
+        solids_fraction: f64,
+        interval: f64,
+    ) -> Result<Self, CaseError> {
+        let mut whole = format!(
+            "{text}\n[box]\nsize = {size:?}\ncells = {cells:?}\nsolids_fraction = {solids_fraction:?}\n"
+        );
+        if !text.lines().any(|line| line.trim_start().starts_with("[run]")) {
+            let duration = FEWEST_SAMPLES * interval;
+            let _ = write!(whole, "[run]\nsample_interval = {interval:?}\nduration = {duration:?}\n");
+        }
+        let mut domain = Some(Domain { size, cells, solids_fractions: vec![solids_fraction] });
+        let mut problems = Problems::new(&whole);
+        let case = file::read(&whole, &mut problems)
+            .and_then(|file| resolve(&file, "fields", domain.take(), &mut problems));
+        match case {
+            Some(case) if problems.is_empty() => Ok(case),
+            _ => {
+                Err(CaseError::Invalid { place: place.to_owned(), problems: problems.into_list() })
+            }
+        }
+    }
+
     fn parse_at(text: &str, name: &str, place: &str) -> Result<Self, CaseError> {
         let mut problems = Problems::new(text);
         let case = match file::read(text, &mut problems) {
-            Some(file) => resolve(&file, name, &mut problems),
+            Some(file) => resolve(&file, name, None, &mut problems),
             None if problems.is_empty() => {
                 return Err(CaseError::Empty { place: place.to_owned() });
             }

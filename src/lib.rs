@@ -27,6 +27,7 @@ pub mod simulate;
 pub mod spectral;
 pub mod stability;
 pub mod statistics;
+pub mod resolved;
 pub mod stored;
 pub mod sums;
 

@@ -1,9 +1,9 @@
 //! [`Resolved`]: resolved fields of one instant, from anyone's files, checked; and the same to disk.
 //!
 //! Files ([`numpy`], [`vtk`], [`openfoam`], [`particles`]) give named arrays on a [`Lattice`] of equal
-//! cells along x, y and z; a [`map`] says which of them are what; [`Resolved`] has the axes of the
-//! crate, the vertical one last, and SI units. [`series`] does this for many files in the order of
-//! time. [`write`](mod@write) writes what the filter was given in flight, in double precision, so
+//! cells along x, y and z; a [`map`] says which of them are what; the [`StoredFields`] of a
+//! [`Resolved`] have the axes of the crate, the vertical one last, and SI units. [`series`] does this
+//! for many files in the order of time. [`write`](mod@write) writes what the filter was given in flight, in double precision, so
 //! that bins from disk are those of the flight.
 
 pub mod expression;
@@ -15,9 +15,7 @@ pub mod series;
 pub mod vtk;
 pub mod write;
 
-use crate::case::Case;
-use crate::fine::{FineFields, symmetric_components};
-use crate::grid::Grid;
+use crate::stored::StoredFields;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -260,41 +258,15 @@ pub(crate) const POINT_DATA: &str = "it is point data, given at the corners of c
     data are needed: write cell data, or convert with a filter such as ParaView's Point Data to \
     Cell Data";
 
-/// Resolved fields of one instant on a grid, at cell centres, first axis fastest; SI. The last axis
-/// is vertical. Velocities and gradients have one list per axis.
+/// Resolved fields of one instant, and what their files say besides.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Resolved {
     /// Where they come from.
     pub path: PathBuf,
-    /// Simulated time \[s\].
-    pub time: f64,
-    /// Cells along each axis, two or three.
-    pub cells: Vec<usize>,
-    /// Edges of a cell \[m\].
-    pub spacing: Vec<f64>,
-    /// Lower corner of the box \[m\].
-    pub origin: Vec<f64>,
-    /// Along which axes the box repeats itself.
-    pub periodic: Vec<bool>,
-    /// φ \[-\].
-    pub solids_fraction: Vec<f64>,
-    /// u_s \[m/s\].
-    pub solids_velocity: Columns,
-    /// u_g \[m/s\].
-    pub gas_velocity: Columns,
-    /// p \[Pa\], of which the gradient is taken where that is not given.
-    pub pressure: Option<Vec<f64>>,
-    /// ∇p \[Pa/m\].
-    pub pressure_gradient: Option<Columns>,
-    /// β \[kg/m³/s\]; the case's law where it is not given.
-    pub drag_coefficient: Option<Vec<f64>>,
-    /// Θ \[m²/s²\].
-    pub granular_temperature: Option<Vec<f64>>,
-    /// Isotropic kinetic-theory stress, compression positive \[Pa\].
-    pub solids_pressure: Option<Vec<f64>>,
-    /// Deviatoric kinetic-theory stress, compression positive \[Pa\], in the order of
-    /// [`symmetric_index`](crate::fine::symmetric_index).
-    pub solids_stress: Option<Columns>,
+    /// The fields.
+    pub fields: StoredFields,
+    /// The text of the case that made them, if Favre did.
+    pub case: Option<String>,
     /// Mean slip, slip seen by the particles and variance of φ at this instant and at the start of
     /// the simulation, if Favre wrote them.
     pub signals: Option<[[f64; 3]; 2]>,
@@ -303,109 +275,7 @@ pub struct Resolved {
 impl Resolved {
     /// The volume mean of φ.
     pub fn mean_solids_fraction(&self) -> f64 {
-        self.solids_fraction.iter().sum::<f64>() / self.solids_fraction.len() as f64
+        let fraction = &self.fields.solids_fraction;
+        fraction.iter().sum::<f64>() / fraction.len() as f64
     }
-
-    /// Mean slip ⟨φ_g u_g⟩/⟨φ_g⟩ - ⟨φ u_s⟩/⟨φ⟩ and slip seen by the particles
-    /// ⟨φ (u_g - u_s)⟩/⟨φ⟩, both vertical \[m/s\], and the variance of φ: as the simulator wrote them,
-    /// or else from the values at cell centres.
-    pub fn means(&self) -> [f64; 3] {
-        if let Some([now, _]) = self.signals {
-            return now;
-        }
-        let vertical = self.cells.len() - 1;
-        let (gas, solids) = (&self.gas_velocity[vertical], &self.solids_velocity[vertical]);
-        let phi = &self.solids_fraction;
-        let mut sums = [0.0; 5];
-        for ((phi, gas), solids) in phi.iter().zip(gas).zip(solids) {
-            for (sum, term) in
-                sums.iter_mut().zip([*phi, phi * phi, phi * solids, phi * gas, (1.0 - phi) * gas])
-            {
-                *sum += term;
-            }
-        }
-        let n = phi.len() as f64;
-        let [fraction, square, solids, seen, gas] = sums.map(|sum| sum / n);
-        [
-            gas / (1.0 - fraction) - solids / fraction,
-            (seen - solids) / fraction,
-            square - fraction * fraction,
-        ]
-    }
-
-    /// Fills `fine`: the one place where fields from disk are handed over to the filter. What was
-    /// not given follows from what was: ∇p from p by central differences as the simulator does, or
-    /// 0 without either; β from the drag law of `case`; Θ and the kinetic-theory stress are 0 where
-    /// they are not given.
-    ///
-    /// # Panics
-    /// When `fine` is of another grid.
-    pub fn hand_over<const D: usize>(self, case: &Case, fine: &mut FineFields<D>) {
-        assert_eq!(fine.grid.cells[..], self.cells[..], "fields of another grid");
-        let len = fine.grid.len();
-        fine.time = self.time;
-        let law = case.physics.drag.law(&case.gas, &case.powder);
-        fine.drag_coefficient = self.drag_coefficient.unwrap_or_else(|| {
-            let speed = |n: usize| {
-                let slip = |a: usize| self.gas_velocity[a][n] - self.solids_velocity[a][n];
-                (0..D).map(|a| slip(a).powi(2)).sum::<f64>().sqrt()
-            };
-            let phi = &self.solids_fraction;
-            (0..len).map(|n| phi[n] * law.beta_per_fraction(phi[n], speed(n))).collect()
-        });
-        let vertical = match (self.pressure_gradient, &self.pressure) {
-            (Some(mut gradient), _) => gradient.swap_remove(D - 1),
-            (None, Some(pressure)) => gradient(pressure, &fine.grid, D - 1, self.periodic[D - 1]),
-            (None, None) => vec![0.0; len],
-        };
-        fine.vertical_pressure_gradient = vertical;
-        fine.solids_fraction = self.solids_fraction;
-        for (to, from) in fine.solids_velocity.iter_mut().zip(self.solids_velocity) {
-            *to = from;
-        }
-        for (to, from) in fine.gas_velocity.iter_mut().zip(self.gas_velocity) {
-            *to = from;
-        }
-        let zero = || vec![0.0; len];
-        fine.granular_temperature = self.granular_temperature.unwrap_or_else(zero);
-        fine.solids_pressure = self.solids_pressure.unwrap_or_else(zero);
-        fine.solids_stress =
-            self.solids_stress.unwrap_or_else(|| vec![zero(); symmetric_components(D)]);
-    }
-
-    /// The grid of the fields.
-    ///
-    /// # Panics
-    /// When they have another dimension.
-    pub fn grid<const D: usize>(&self) -> Grid<D> {
-        assert_eq!(self.cells.len(), D, "fields of another dimension");
-        Grid {
-            cells: std::array::from_fn(|a| self.cells[a]),
-            spacing: std::array::from_fn(|a| self.spacing[a]),
-        }
-    }
-}
-
-/// ∂q/∂x along `axis` by central differences; one-sided at the ends of an axis that is not periodic.
-pub fn gradient<const D: usize>(
-    q: &[f64],
-    grid: &Grid<D>,
-    axis: usize,
-    periodic: bool,
-) -> Vec<f64> {
-    let stride: usize = grid.cells[..axis].iter().product();
-    let (count, h) = (grid.cells[axis], grid.spacing[axis]);
-    (0..q.len())
-        .map(|n| {
-            let place = n / stride % count;
-            let (above, below, distance) = match (place, periodic) {
-                (0, false) => (n + stride, n, h),
-                (0, true) => (n + stride, n + (count - 1) * stride, 2.0 * h),
-                (last, false) if last == count - 1 => (n, n - stride, h),
-                (last, true) if last == count - 1 => (n - last * stride, n - stride, 2.0 * h),
-                _ => (n + stride, n - stride, 2.0 * h),
-            };
-            (q[above] - q[below]) / distance
-        })
-        .collect()
 }

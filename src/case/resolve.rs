@@ -54,8 +54,13 @@ fn accept(
 }
 
 /// Turns what was typed into a case; none if anything is missing or wrong, which is then among the
-/// problems.
-pub(super) fn resolve(file: &CaseFile, name: &str, problems: &mut Problems<'_>) -> Option<Case> {
+/// problems. A domain that is `given` takes the place of the one that was typed, unchecked.
+pub(super) fn resolve(
+    file: &CaseFile,
+    name: &str,
+    given: Option<Domain>,
+    problems: &mut Problems<'_>,
+) -> Option<Case> {
     let powder = resolve_powder(file, problems);
     let gas = resolve_gas(file, problems);
     let gravity = match &file.physics.gravity {
@@ -80,8 +85,15 @@ pub(super) fn resolve(file: &CaseFile, name: &str, problems: &mut Problems<'_>) 
         }
     };
     let diameter = powder.as_ref().map(|powder| powder.diameter);
-    let domain = resolve_domain(&file.domain, scales.as_ref(), diameter, problems);
-    let fractions = resolve_fractions(&file.domain, max_packing, perturbation, problems);
+    let (domain, fractions) = match given {
+        Some(Domain { size, cells, solids_fractions }) => {
+            (Some((size, cells)), Some(solids_fractions))
+        }
+        None => (
+            resolve_domain(&file.domain, scales.as_ref(), diameter, problems),
+            resolve_fractions(&file.domain, max_packing, perturbation, problems),
+        ),
+    };
     let filter =
         resolve_filter(&file.filter, domain.as_ref(), scales.as_ref(), max_packing, problems);
     let run = resolve_run(&file.run, scales.as_ref(), perturbation, problems);

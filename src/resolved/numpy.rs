@@ -294,7 +294,9 @@ fn for_each_array(path: &Path, take: Take<'_>) -> Result<(), ResolvedError> {
     let damaged = |error: zip::result::ZipError| ResolvedError::format(path, error.to_string());
     let file = File::open(path).map_err(ResolvedError::read(path))?;
     let mut archive = ZipArchive::new(BufReader::new(file)).map_err(damaged)?;
-    let mut names: Vec<_> = archive.file_names().map(str::to_owned).collect();
+    let names: Result<Vec<_>, _> =
+        archive.file_names().map(|name| name.map(|name| name.into_owned())).collect();
+    let mut names = names.map_err(damaged)?;
     names.sort();
     for name in names {
         take(name.trim_end_matches(".npy"), &mut || {
