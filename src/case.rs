@@ -31,6 +31,8 @@
 //! | | `seed` | of the initial perturbation | a whole number | 1 |
 //! | | `perturbation` | relative amplitude of the initial perturbation | 0 to 0.5 | 0.05 |
 //! | | `precision` | of the simulator | `"f32"`, `"f64"` | `"f64"` |
+//! | `[output]` | `fields` | snapshots of the fields, as the filter sees them | `"none"`, `"vti"`, `"npz"` | `"none"` |
+//! | | `fields_interval` | time between snapshots | a whole multiple of `sample_interval` | `sample_interval` |
 //!
 //! Two stages: what was typed (types, units, places), then [`Case`] (SI, checked). Everything wrong
 //! with a file is reported at once, each [`Problem`] with key, value, line and what is accepted.
@@ -72,6 +74,8 @@ pub struct Case {
     pub filter: FilterCase,
     /// `[run]`.
     pub run: RunCase,
+    /// `[output]`.
+    pub output: OutputCase,
 }
 
 /// `[box]`: the periodic box.
@@ -282,6 +286,27 @@ pub enum Precision {
     Double,
 }
 
+/// `[output]`: what is kept of the fields.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OutputCase {
+    /// In which format, if at all.
+    pub fields: FieldsChoice,
+    /// Time between snapshots \[s\], a whole multiple of the time between samples.
+    pub fields_interval: f64,
+}
+
+/// Formats of snapshots.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FieldsChoice {
+    /// None are written.
+    None,
+    /// VTK image data.
+    Vti,
+    /// NumPy archives.
+    Npz,
+}
+
 /// Why there is no case.
 #[derive(Debug, thiserror::Error)]
 pub enum CaseError {
@@ -411,7 +436,8 @@ impl Case {
         );
         if !text.lines().any(|line| line.trim_start().starts_with("[run]")) {
             let duration = FEWEST_SAMPLES * interval;
-            let _ = write!(whole, "[run]\nsample_interval = {interval:?}\nduration = {duration:?}\n");
+            let _ =
+                write!(whole, "[run]\nsample_interval = {interval:?}\nduration = {duration:?}\n");
         }
         let mut domain = Some(Domain { size, cells, solids_fractions: vec![solids_fraction] });
         let mut problems = Problems::new(&whole);
@@ -504,7 +530,7 @@ impl Case {
 
     /// The case as a case file with every key, in SI; [`Case::parse`] reads an equal case from it.
     pub fn to_toml(&self) -> String {
-        let Self { name: _, powder, gas, domain, physics, filter, run } = self;
+        let Self { name: _, powder, gas, domain, physics, filter, run, output } = self;
         format!(
             "[powder]\n\
              diameter = {:?}\n\
@@ -534,7 +560,10 @@ impl Case {
              sample_interval = {:?}\n\
              seed = {}\n\
              perturbation = {:?}\n\
-             precision = {}\n",
+             precision = {}\n\
+             \n[output]\n\
+             fields = {}\n\
+             fields_interval = {:?}\n",
             powder.diameter,
             powder.density,
             powder.restitution,
@@ -558,6 +587,8 @@ impl Case {
             run.seed,
             run.perturbation,
             quoted(&run.precision),
+            quoted(&output.fields),
+            output.fields_interval,
         )
     }
 }

@@ -53,6 +53,9 @@ const BOX: &str = "box_";
 const STATE: &str = ".state";
 const PARTIAL: &str = ".partial";
 
+/// How the name of the folder of a box's snapshots begins.
+const FIELDS: &str = "fields_";
+
 /// The checkpoints of a run: where they stand, and what they say about the run as a whole.
 #[derive(Debug)]
 pub struct Checkpoints {
@@ -280,11 +283,22 @@ impl Checkpoints {
         BoxKeeper { checkpoints: self, solids_fraction, last: Instant::now() }
     }
 
+    /// Where the snapshots of the box of `solids_fraction` stand until the run has its folder: they
+    /// outlive an interruption as its state does.
+    pub fn fields(&self, solids_fraction: f64) -> PathBuf {
+        self.dir.join(format!("{FIELDS}{solids_fraction}"))
+    }
+
     /// Removes what was kept, at the end of the run.
     ///
     /// # Errors
     /// A file cannot be removed.
     pub fn remove(&self) -> Result<(), CheckpointError> {
+        for path in self.entries()?.into_iter().filter(|path| name_starts_with(path, FIELDS)) {
+            if let Err(source) = fs::remove_dir_all(&path) {
+                return Err(CheckpointError::Remove { path, source });
+            }
+        }
         // A run that is killed while it writes leaves a partial file.
         for path in self.files(PARTIAL)?.into_iter().chain(self.files(STATE)?) {
             if let Err(source) = fs::remove_file(&path) {
@@ -306,6 +320,14 @@ impl Checkpoints {
 
     /// The boxes' files whose names end with `end`, in the order of their names.
     fn files(&self, end: &str) -> Result<Vec<PathBuf>, CheckpointError> {
+        let mut files = self.entries()?;
+        let name = |path: &PathBuf| path.to_string_lossy().ends_with(end);
+        files.retain(|path| name_starts_with(path, BOX) && name(path));
+        Ok(files)
+    }
+
+    /// What stands in the folder, in the order of the names.
+    fn entries(&self) -> Result<Vec<PathBuf>, CheckpointError> {
         let read = |source| CheckpointError::Read { path: self.dir.clone(), source };
         let entries = match fs::read_dir(&self.dir) {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
@@ -313,12 +335,7 @@ impl Checkpoints {
         };
         let mut files = Vec::new();
         for entry in entries {
-            let entry = entry.map_err(read)?;
-            let name = entry.file_name();
-            let name = name.to_string_lossy();
-            if name.starts_with(BOX) && name.ends_with(end) {
-                files.push(entry.path());
-            }
+            files.push(entry.map_err(read)?.path());
         }
         files.sort();
         Ok(files)
@@ -378,6 +395,10 @@ impl Checkpoints {
         let time = header.time;
         Ok((header, Kept { time, signals, cost, sums, flow: Box::new(file) }))
     }
+}
+
+fn name_starts_with(path: &Path, start: &str) -> bool {
+    path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(start))
 }
 
 /// Keeps one box while it is simulated.
@@ -560,7 +581,17 @@ mod tests {
     }
 
     fn whole<R: Real, const D: usize>(case: &Case) -> Simulated {
-        simulate_from::<R, D>(case, PHI, false, &|| false, |_, _| {}, None, |_, _| {}).unwrap()
+        simulate_from::<R, D>(
+            case,
+            PHI,
+            false,
+            &|| false,
+            |_, _| {},
+            None,
+            |_, _| {},
+            |_, _, _| Ok(()),
+        )
+        .unwrap()
     }
 
     /// One piece of a run, until `samples` have been taken in all, or as many steps done in this
@@ -587,6 +618,7 @@ mod tests {
             |signals, _| sampled.set(signals.time.len() - 1),
             kept,
             |moment, underway| keeper.keep(moment, underway).unwrap(),
+            |_, _, _| Ok(()),
         )
     }
 

@@ -22,12 +22,12 @@ pub mod blocking;
 pub mod filter;
 pub mod filtered;
 pub mod moments;
+pub mod resolved;
 pub mod series;
 pub mod simulate;
 pub mod spectral;
 pub mod stability;
 pub mod statistics;
-pub mod resolved;
 pub mod stored;
 pub mod sums;
 

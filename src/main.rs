@@ -12,11 +12,12 @@ use std::time::Duration;
 
 use clap::Parser;
 use favre::bench;
-use favre::case::{Case, DEFAULT};
+use favre::case::{Case, DEFAULT, FieldsChoice};
 use favre::checkpoint::Checkpoints;
 use favre::hard;
 use favre::output::Output;
 use favre::pipeline::{self, RunError, RunOptions};
+use favre::resolved::map::Map;
 use favre::verify::{self, Effort};
 
 use cli::{Cli, Command};
@@ -45,7 +46,9 @@ impl Failure {
 
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
-        Some(Command::Run(args)) => run(&args),
+        Some(Command::Run(args)) => run(&args, "run"),
+        Some(Command::Simulate(args)) => run(&args, "simulate"),
+        Some(Command::Filter(args)) => filter(&args),
         Some(Command::Stability(args)) => stability(&args),
         Some(Command::Bench(args)) => bench(&args),
         Some(Command::Verify(args)) => verify(&args),
@@ -63,7 +66,8 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(args: &cli::Run) -> Result<(), Failure> {
+/// `favre run`, and `favre simulate`, which is a run that keeps its fields.
+fn run(args: &cli::Run, command: &str) -> Result<(), Failure> {
     let mut case = match &args.case {
         Some(path) => Case::load(path).map_err(Failure::misuse)?,
         None => Case::parse(DEFAULT, "default").map_err(Failure::misuse)?,
@@ -71,8 +75,11 @@ fn run(args: &cli::Run) -> Result<(), Failure> {
     if let Some(duration) = &args.duration {
         case.set_duration(duration).map_err(Failure::misuse)?;
     }
+    if command == "simulate" && case.output.fields == FieldsChoice::None {
+        case.output.fields = FieldsChoice::Vti;
+    }
     if args.print_case {
-        let untouched = args.case.is_none() && args.duration.is_none();
+        let untouched = args.case.is_none() && args.duration.is_none() && command == "run";
         return write(if untouched { DEFAULT.to_owned() } else { case.to_toml() });
     }
     if !args.quiet {
@@ -87,8 +94,9 @@ fn run(args: &cli::Run) -> Result<(), Failure> {
     interrupt.partial.get_or_init(|| output.partial().to_owned());
     let options = RunOptions { threads: args.threads.map_or(0, usize::from), quiet: args.quiet };
     let summary = pipeline::run(&case, &mut output, &checkpoints, &options, &interrupt.stop)
-        .map_err(|error| failure(error, args, &checkpoints))?;
-    let dir = output.commit().map_err(|error| failure(error.into(), args, &checkpoints))?;
+        .map_err(|error| failure(error, args, command, &checkpoints))?;
+    let dir =
+        output.commit().map_err(|error| failure(error.into(), args, command, &checkpoints))?;
     if let Err(error) = checkpoints.remove() {
         say(format_args!("favre: warning: {}", chain(&error)));
     }
@@ -124,8 +132,12 @@ fn prepare(args: &cli::Run, case: &Case, dir: &Path) -> Result<(Output, Checkpoi
 }
 
 /// What to say of a run that did not end, and how to go on with it.
-fn failure(error: RunError, args: &cli::Run, checkpoints: &Checkpoints) -> Failure {
+fn failure(error: RunError, args: &cli::Run, command: &str, checkpoints: &Checkpoints) -> Failure {
     let status = if matches!(error, RunError::Interrupted { .. }) { INTERRUPTED } else { FAILED };
+    if checkpoints.is_empty() {
+        // Snapshots without a state to go on from; an error here would hide the one that matters.
+        let _ = checkpoints.remove();
+    }
     // A box that failed would fail again.
     if checkpoints.is_empty() || matches!(error, RunError::Simulate(_)) {
         return Failure { status, error: error.into() };
@@ -134,17 +146,17 @@ fn failure(error: RunError, args: &cli::Run, checkpoints: &Checkpoints) -> Failu
         "{}; what was simulated is kept in {}, go on with `{}`",
         chain(&error),
         checkpoints.dir().display(),
-        command_to_go_on(args)
+        command_to_go_on(args, command)
     );
     Failure { status, error: message.into() }
 }
 
 /// The command that goes on with the run of `args`, as it is typed into a shell.
-fn command_to_go_on(args: &cli::Run) -> String {
+fn command_to_go_on(args: &cli::Run, command: &str) -> String {
     let path = |path: &PathBuf| path.display().to_string();
     let options = [("", args.case.as_ref().map(path)), ("--out", args.out.as_ref().map(path))];
     let duration = ("--duration", args.duration.clone());
-    let mut command = "favre run".to_owned();
+    let mut command = format!("favre {command}");
     for (option, value) in options.into_iter().chain([duration]) {
         let Some(value) = value else { continue };
         let plain = |c: char| c.is_alphanumeric() || "/._-+=,:".contains(c);
@@ -154,6 +166,37 @@ fn command_to_go_on(args: &cli::Run) -> String {
         command += &format!(" {option}{space}{value}");
     }
     command + " --resume"
+}
+
+fn filter(args: &cli::Filter) -> Result<(), Failure> {
+    let map = match &args.map {
+        Some(path) => Map::load(path).map_err(Failure::misuse)?,
+        None => Map::none(),
+    };
+    let interrupt = Interrupt::install();
+    let dir = args.out.as_deref().unwrap_or(Path::new("favre-out/filter"));
+    let output = Output::create(dir, args.force).map_err(Failure::misuse)?;
+    interrupt.partial.get_or_init(|| output.partial().to_owned());
+    let options = RunOptions { threads: args.threads.map_or(0, usize::from), quiet: args.quiet };
+    let found =
+        pipeline::fields::filter(&args.fields, &map, args.from, &output, &options, &interrupt.stop);
+    let found = found.map_err(|error| match error {
+        RunError::Stopped => Failure { status: INTERRUPTED, error: error.into() },
+        // What was given cannot be filtered.
+        RunError::Series(_) | RunError::Resolved(_) | RunError::Stored { .. } => {
+            Failure::misuse(error)
+        }
+        error => Failure::failed(error),
+    })?;
+    let dir = output.commit().map_err(Failure::failed)?;
+    if !args.quiet {
+        say(format_args!("favre: results are in {}", dir.display()));
+    }
+    match (args.json, args.quiet) {
+        (true, _) => print_json(&found),
+        (false, true) => Ok(()),
+        (false, false) => print(&found),
+    }
 }
 
 fn stability(args: &cli::Stability) -> Result<(), Failure> {

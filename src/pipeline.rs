@@ -1,9 +1,13 @@
-//! [`run`]: from a case to the files of a run, stage by stage; [`stability()`] likewise.
+//! [`run`]: from a case to the files of a run, stage by stage; [`stability()`] likewise, and
+//! [`fields::filter`] from fields on disk.
+
+pub mod fields;
 
 use crate::bench;
 use crate::case::{Case, Precision};
 use crate::checkpoint::{CheckpointError, Checkpoints};
 use crate::figure::{self, FigureError};
+use crate::fine::FineFields;
 use crate::fit::{Fit, FitError, ReferenceLength, fit};
 use crate::forms::SaturatingDrag;
 use crate::laws::scales::Scales;
@@ -12,13 +16,17 @@ use crate::model::{
 };
 use crate::output::{Output, OutputError, RUN_FILE};
 use crate::progress::Progress;
-use crate::series::Onset;
-use crate::simulate::{SimulateError, Simulated, Underway, simulate_from};
+use crate::resolved::ResolvedError;
+use crate::resolved::series::SeriesError;
+use crate::resolved::write::{RecordError, Recorder};
+use crate::simulate::{Signals, SimulateError, Simulated, Underway, simulate_from};
 use crate::stability::{self, Stability, StabilityError};
 use crate::statistics::{MergeError, Sums, bin_table};
+use crate::stored::StoredError;
 use crate::summary::{BoxSummary, Machine, Summary};
 use crate::table::{BinRow, write_rows};
 use std::io::{self, Write};
+use std::path::PathBuf;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
@@ -68,6 +76,37 @@ pub enum RunError {
     /// There is no linear theory of the case.
     #[error(transparent)]
     Stability(#[from] StabilityError),
+    /// Fields on disk, or the case they are of, are not acceptable.
+    #[error(transparent)]
+    Series(#[from] SeriesError),
+    /// Fields on disk are not acceptable.
+    #[error(transparent)]
+    Resolved(#[from] ResolvedError),
+    /// Fields on disk cannot be sampled.
+    #[error("{path}", path = path.display())]
+    Stored {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        source: StoredError,
+    },
+    /// There was nothing to filter.
+    #[error("there are no fields in what was given")]
+    NoFields,
+    /// Nothing is left after the start.
+    #[error("no whole block of time begins between {start} s and the last instant at {last} s")]
+    NothingFrom {
+        /// Where the statistics were to begin \[s\].
+        start: f64,
+        /// The last instant \[s\].
+        last: f64,
+    },
+    /// It was asked to stop while it read fields.
+    #[error("interrupted: no tables were written")]
+    Stopped,
+    /// Fields could not be kept.
+    #[error(transparent)]
+    Record(#[from] RecordError),
     /// Nothing could be measured.
     #[error(transparent)]
     Bench(#[from] bench::BenchError),
@@ -116,6 +155,7 @@ pub fn run(
         Machine { threads, seconds: checkpoints.seconds(), ..Machine::here() },
     );
     export(case, output, &boxes, &bins, model.as_ref().ok(), &summary)?;
+    fields::take_fields(case, checkpoints, output)?;
     Ok(summary)
 }
 
@@ -250,19 +290,27 @@ fn simulate_box(
     };
     let mut bar = progress.start(fraction, case.run.duration);
     let watch = |signals: &_, steps| bar.update(signals, steps);
+    let recorder = Recorder::new(case, checkpoints.fields(fraction));
+    if let Some(recorder) = &recorder {
+        recorder.begin(kept.as_ref().map_or(0, |kept| kept.signals.time.len() as u64 - 1))?;
+    }
+    macro_rules! simulate {
+        ($real:ty, $dimension:literal) => {{
+            let record = |sample, fine: &FineFields<$dimension>, signals: &Signals| match &recorder
+            {
+                Some(recorder) => Ok(recorder.record(sample, fine, |n| signals.values(n))?),
+                None => Ok(()),
+            };
+            simulate_from::<$real, $dimension>(
+                case, fraction, parallel, stop, watch, kept, keep, record,
+            )
+        }};
+    }
     let result = match (case.run.precision, case.domain.size.len()) {
-        (Precision::Double, 2) => {
-            simulate_from::<f64, 2>(case, fraction, parallel, stop, watch, kept, keep)
-        }
-        (Precision::Double, _) => {
-            simulate_from::<f64, 3>(case, fraction, parallel, stop, watch, kept, keep)
-        }
-        (Precision::Single, 2) => {
-            simulate_from::<f32, 2>(case, fraction, parallel, stop, watch, kept, keep)
-        }
-        (Precision::Single, _) => {
-            simulate_from::<f32, 3>(case, fraction, parallel, stop, watch, kept, keep)
-        }
+        (Precision::Double, 2) => simulate!(f64, 2),
+        (Precision::Double, _) => simulate!(f64, 3),
+        (Precision::Single, 2) => simulate!(f32, 2),
+        (Precision::Single, _) => simulate!(f32, 3),
     };
     bar.finish();
     Ok(result?)
@@ -271,12 +319,7 @@ fn simulate_box(
 /// The sums of a box from the time on from which it was steady, and what its signals say. A box
 /// that never became steady gives its second half, and a warning.
 fn steady_part(simulated: &Simulated, scales: &Scales) -> (Sums, BoxSummary) {
-    let duration = simulated.signals.time.last().copied().unwrap_or_default();
-    let onset = simulated.signals.onset();
-    let start = match onset {
-        Onset::Steady(time) => time,
-        Onset::NotSteady | Onset::TooShort => 0.5 * duration,
-    };
+    let (start, onset) = simulated.signals.start();
     let mut sums = simulated.sums.clone();
     sums.discard_before(start);
     (sums, BoxSummary::new(simulated, start, onset, scales))

@@ -9,6 +9,7 @@ use crate::real::Real;
 use crate::series::{Onset, steady_start};
 use crate::spectral::Kernel;
 use crate::statistics::{Bins, MergeError, Sampler, Sampling, Sums};
+use crate::stored::StoredSampling;
 use crate::two_fluid::{Limit, Means, Setup, StateError, StepError, TwoFluid};
 use std::io::{self, Read, Write};
 
@@ -34,10 +35,31 @@ pub struct Signals {
 impl Signals {
     /// Adds the `means` at `time` \[s\].
     pub fn push<const D: usize>(&mut self, time: f64, means: &Means<D>) {
+        let variance = means.solids_fraction_variance;
+        self.push_values(time, [means.slip, means.particle_slip, variance]);
+    }
+
+    /// Adds mean slip, slip seen by the particles and variance of φ at `time` \[s\].
+    pub fn push_values(&mut self, time: f64, [slip, particle_slip, variance]: [f64; 3]) {
         self.time.push(time);
-        self.slip.push(means.slip);
-        self.particle_slip.push(means.particle_slip);
-        self.solids_fraction_variance.push(means.solids_fraction_variance);
+        self.slip.push(slip);
+        self.particle_slip.push(particle_slip);
+        self.solids_fraction_variance.push(variance);
+    }
+
+    /// The values of sample `n` in this order.
+    pub fn values(&self, n: usize) -> [f64; 3] {
+        [self.slip[n], self.particle_slip[n], self.solids_fraction_variance[n]]
+    }
+
+    /// The time from which on the statistics are taken \[s\], and what the signals say: of a box that
+    /// never became steady the second half.
+    pub fn start(&self) -> (f64, Onset) {
+        let duration = self.time.last().copied().unwrap_or_default();
+        match self.onset() {
+            Onset::Steady(time) => (time, Onset::Steady(time)),
+            onset @ (Onset::NotSteady | Onset::TooShort) => (0.5 * duration, onset),
+        }
     }
 
     /// When the box became statistically steady: the latest of what its signals say. The slip
@@ -113,6 +135,14 @@ pub enum SimulateError {
     /// A filter does not fit the box.
     #[error(transparent)]
     Filter(#[from] FilterError),
+    /// The fields could not be recorded.
+    #[error("the fields at t = {time:.4} s cannot be kept")]
+    Record {
+        /// Simulated time \[s\].
+        time: f64,
+        /// Why.
+        source: RecordError,
+    },
     /// The fields that were kept are not of this box.
     #[error("what was kept of the box does not fit it")]
     State(#[from] StateError),
@@ -200,6 +230,23 @@ pub fn sampling<const D: usize>(case: &Case, parallel: bool) -> Sampling<D> {
     }
 }
 
+/// How `case` asks for fields on disk to be sampled: as in flight.
+pub fn stored_sampling(case: &Case, parallel: bool) -> StoredSampling {
+    let Sampling { scales, gas_density, bins, kernel, widths, block_duration, closest, .. } =
+        sampling::<2>(case, parallel);
+    StoredSampling {
+        scales,
+        gas_density,
+        bins,
+        kernel,
+        widths,
+        block_duration,
+        space: 1,
+        closest,
+        parallel,
+    }
+}
+
 /// Simulates the box of mean solids fraction `solids_fraction`, filtering as it goes. `parallel`
 /// lets a step use the threads of the current pool. `watch` is called after each sample with the
 /// signals so far and the number of steps that this call has done.
@@ -216,18 +263,24 @@ pub fn simulate<R: Real, const D: usize>(
     stop: &dyn Fn() -> bool,
     watch: impl FnMut(&Signals, u64),
 ) -> Result<Simulated, SimulateError> {
-    simulate_from::<R, D>(case, solids_fraction, parallel, stop, watch, None, |_, _| {})
+    let record = |_: u64, _: &FineFields<D>, _: &Signals| Ok(());
+    simulate_from::<R, D>(case, solids_fraction, parallel, stop, watch, None, |_, _| {}, record)
 }
+
+/// Why fields could not be recorded.
+pub type RecordError = Box<dyn std::error::Error + Send + Sync>;
 
 /// [`simulate`] from what was `kept` of the same case and box, which may have been asked for
 /// another duration, no shorter than what was simulated: to the same bits as without a break.
-/// `keep` is called whenever the box may be kept.
+/// `keep` is called whenever the box may be kept, and `record` with the number of each sample, from
+/// 1, the fields that are sampled, and the signals up to then.
 ///
 /// # Errors
-/// As [`simulate`], or what was kept is of another box.
+/// As [`simulate`], or what was kept is of another box, or `record` says so.
 ///
 /// # Panics
 /// When the case's dimension is not `D`.
+#[allow(clippy::too_many_arguments)]
 pub fn simulate_from<R: Real, const D: usize>(
     case: &Case,
     solids_fraction: f64,
@@ -236,6 +289,7 @@ pub fn simulate_from<R: Real, const D: usize>(
     mut watch: impl FnMut(&Signals, u64),
     kept: Option<Kept>,
     mut keep: impl FnMut(Moment, &Underway),
+    mut record: impl FnMut(u64, &FineFields<D>, &Signals) -> Result<(), RecordError>,
 ) -> Result<Simulated, SimulateError> {
     let begin = std::time::Instant::now();
     let Case { powder, gas, domain, physics, run, .. } = case;
@@ -288,6 +342,8 @@ pub fn simulate_from<R: Real, const D: usize>(
         signals.push(until, &flow.means());
         flow.fields(&mut fine);
         sampler.sample(&fine);
+        record(sample, &fine, &signals)
+            .map_err(|source| SimulateError::Record { time: until, source })?;
         watch(&signals, cost.steps - before.steps);
     }
     keep(Moment::End, &flow, &signals, cost, sampler.sums());

@@ -14,19 +14,20 @@ use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
 use super::{
-    DragChoice, FrictionChoice, GranularEnergyChoice, MarkerChoice, Precision,
+    DragChoice, FieldsChoice, FrictionChoice, GranularEnergyChoice, MarkerChoice, Precision,
     RadialDistributionChoice,
 };
 use crate::laws::scales::{REFERENCE_LENGTHS, Scales};
 
 /// Every section and its keys.
-pub(super) const SECTIONS: [(&str, &[&str]); 6] = [
+pub(super) const SECTIONS: [(&str, &[&str]); 7] = [
     ("powder", &["diameter", "density", "restitution", "max_packing"]),
     ("gas", &["density", "viscosity"]),
     ("box", &["size", "cells", "cell", "solids_fraction"]),
     ("physics", &["drag", "radial_distribution", "friction", "granular_energy", "gravity"]),
     ("filter", &["widths", "markers", "solids_fraction_bin", "slip_bin"]),
     ("run", &["duration", "sample_interval", "seed", "perturbation", "precision"]),
+    ("output", &["fields", "fields_interval"]),
 ];
 
 /// A value and where it stands.
@@ -299,6 +300,7 @@ pub(super) struct CaseFile {
     pub physics: PhysicsFile,
     pub filter: FilterFile,
     pub run: RunFile,
+    pub output: OutputFile,
 }
 
 #[derive(Debug)]
@@ -347,6 +349,12 @@ pub(super) struct RunFile {
     pub seed: Option<Typed<u64>>,
     pub perturbation: Option<Typed<f64>>,
     pub precision: Option<Typed<Precision>>,
+}
+
+#[derive(Debug)]
+pub(super) struct OutputFile {
+    pub fields: Option<Typed<FieldsChoice>>,
+    pub fields_interval: Option<Typed<Quantity>>,
 }
 
 /// Reads `text`. None if it is not TOML, which is then the only problem, or if it holds nothing,
@@ -452,7 +460,15 @@ pub(super) fn read(text: &str, problems: &mut Problems<'_>) -> Option<CaseFile> 
             precision: section.optional("precision", choice),
         }
     };
-    Some(CaseFile { powder, gas, domain, physics, filter, run })
+    let output = {
+        let mut section = Section::new(&root, "output", false, problems);
+        OutputFile {
+            fields: section.optional("fields", choice),
+            fields_interval: section
+                .optional("fields_interval", |value| quantity(value, Kind::Time)),
+        }
+    };
+    Some(CaseFile { powder, gas, domain, physics, filter, run, output })
 }
 
 /// A TOML value and where it stands.

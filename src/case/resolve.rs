@@ -5,10 +5,12 @@
 
 use std::ops::RangeInclusive;
 
-use super::file::{CaseFile, DomainFile, FilterFile, Problems, Quantity, RunFile, Typed, Unit};
+use super::file::{
+    CaseFile, DomainFile, FilterFile, OutputFile, Problems, Quantity, RunFile, Typed, Unit,
+};
 use super::{
-    Case, Domain, DragChoice, FilterCase, FrictionChoice, GranularEnergyChoice, MarkerChoice,
-    Physics, Precision, RadialDistributionChoice, RunCase,
+    Case, Domain, DragChoice, FieldsChoice, FilterCase, FrictionChoice, GranularEnergyChoice,
+    MarkerChoice, OutputCase, Physics, Precision, RadialDistributionChoice, RunCase,
 };
 use crate::laws::scales::{Gas, Powder, Scales};
 
@@ -97,6 +99,7 @@ pub(super) fn resolve(
     let filter =
         resolve_filter(&file.filter, domain.as_ref(), scales.as_ref(), max_packing, problems);
     let run = resolve_run(&file.run, scales.as_ref(), perturbation, problems);
+    let output = resolve_output(&file.output, scales.as_ref(), run.as_ref(), problems);
     let (size, cells) = domain?;
     Some(Case {
         name: name.to_owned(),
@@ -124,6 +127,7 @@ pub(super) fn resolve(
         },
         filter: filter?,
         run: run?,
+        output: output?,
     })
 }
 
@@ -611,6 +615,34 @@ fn resolve_run(
         perturbation: perturbation?,
         precision: file.precision.as_ref().map_or(Precision::Double, |typed| typed.value),
     })
+}
+
+/// Which fields are kept, and how often: at every sample or every so many.
+fn resolve_output(
+    file: &OutputFile,
+    scales: Option<&Scales>,
+    run: Option<&RunCase>,
+    problems: &mut Problems<'_>,
+) -> Option<OutputCase> {
+    let fields = file.fields.as_ref().map_or(FieldsChoice::None, |typed| typed.value);
+    let sample = run?.sample_interval;
+    let Some(typed) = &file.fields_interval else {
+        return Some(OutputCase { fields, fields_interval: sample });
+    };
+    let interval = typed.value.si(scales)?;
+    let count = (interval / sample).round();
+    if !is_time(interval) || count < 1.0 || (interval / sample - count).abs() > WHOLE * count {
+        problems.refuse(
+            typed,
+            format!(
+                "fields are kept when they are sampled: a whole multiple of sample_interval = {} s \
+                 is accepted",
+                significant(sample)
+            ),
+        );
+        return None;
+    }
+    Some(OutputCase { fields, fields_interval: count * sample })
 }
 
 /// A number in a message: six significant digits, without trailing zeros.

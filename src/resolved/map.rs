@@ -76,7 +76,10 @@ const UNDERSHOOT: f64 = 1e-3;
 
 /// A formula or one per component.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(untagged, expecting = "expected the name or formula of an array, or a list of one for each axis")]
+#[serde(
+    untagged,
+    expecting = "expected the name or formula of an array, or a list of one for each axis"
+)]
 enum Formula {
     One(String),
     Components(Vec<String>),
@@ -243,7 +246,10 @@ const FIELDS: [(&str, &[&[&str]]); 9] = [
 ];
 
 const PARTICLES: [(&str, &[&[&str]]); 3] = [
-    ("position", &[&["Points"], &["position"], &["x", "y", "z"], &["Points:0", "Points:1", "Points:2"]]),
+    (
+        "position",
+        &[&["Points"], &["position"], &["x", "y", "z"], &["Points:0", "Points:1", "Points:2"]],
+    ),
     (
         "velocity",
         &[
@@ -313,7 +319,9 @@ impl Map {
             pressure: factor("pressure", &units.pressure, &pressure)?,
             time: factor("time", &units.time, &time)?,
         };
-        let sought = |section: &'static str, list: &[(&'static str, &[&[&str]])], given: &[&Option<Formula>]| {
+        let sought = |section: &'static str,
+                      list: &[(&'static str, &[&[&str]])],
+                      given: &[&Option<Formula>]| {
             list.iter()
                 .zip(given)
                 .map(|((key, defaults), given)| {
@@ -356,7 +364,9 @@ impl Map {
         if let Some(interval) = file.grid.interval
             && (interval.is_nan() || interval <= 0.0 || interval.is_infinite())
         {
-            return Err(refuse(format!("[grid] interval = {interval}: a time above 0 is accepted")));
+            return Err(refuse(format!(
+                "[grid] interval = {interval}: a time above 0 is accepted"
+            )));
         }
         let case_text = without_sections(text, &OWN, true);
         let place = place.to_owned();
@@ -442,6 +452,23 @@ impl Map {
     /// An array is missing, has another number of components or of cells, holds a number that is none
     /// or cannot be; or the grid is not known.
     pub fn resolve(&self, mut pieces: Vec<Piece>, time: f64) -> Result<Resolved, ResolvedError> {
+        for (n, piece) in pieces.iter().enumerate() {
+            for other in &pieces[..n] {
+                let twice =
+                    |array: &&super::Array| other.arrays.iter().any(|a| a.name == array.name);
+                let alike = piece.particles == other.particles;
+                if let Some(array) = piece.arrays.iter().find(twice).filter(|_| alike) {
+                    return Err(ResolvedError::Pair {
+                        path: other.path.clone(),
+                        other: piece.path.clone(),
+                        why: format!(
+                            "both have {} at t = {time} s: give each run as a folder of its own",
+                            array.name
+                        ),
+                    });
+                }
+            }
+        }
         let (lattice, path) = self.lattice(&pieces)?;
         let first = |part: &dyn Fn(&Piece) -> bool| pieces.iter().position(part);
         let told = pieces.iter().find_map(|piece| piece.periodic);
@@ -463,8 +490,10 @@ impl Map {
             let particles = pieces.remove(place);
             pieces.push(self.deposit(&particles, &lattice, periodic)?);
         }
-        let finder = Finder { pieces: &pieces, lattice: Some(&lattice), len: lattice.len(), path: &path };
-        let vector = |columns: Columns, label: &str| pick_axes(columns, &axes, &lattice, &path, label);
+        let finder =
+            Finder { pieces: &pieces, lattice: Some(&lattice), len: lattice.len(), path: &path };
+        let vector =
+            |columns: Columns, label: &str| pick_axes(columns, &axes, &lattice, &path, label);
         let f = &self.factors;
         let cells: Vec<usize> = axes.iter().map(|axis| lattice.cells[*axis]).collect();
         let spacing = axes.iter().map(|axis| lattice.spacing[*axis] * f.length).collect();
@@ -472,7 +501,8 @@ impl Map {
             StoredFields::new(cells, spacing, axes.iter().map(|axis| periodic[*axis]).collect());
         fields.time = time;
         for sought in &self.sought {
-            let needed = ["solids_fraction", "solids_velocity", "gas_velocity"].contains(&sought.key);
+            let needed =
+                ["solids_fraction", "solids_velocity", "gas_velocity"].contains(&sought.key);
             let Some((mut columns, label)) = finder.find(sought, needed, &self.place)? else {
                 continue;
             };
@@ -499,14 +529,17 @@ impl Map {
                 check_fraction(&mut columns[0], &lattice, &finder, &label)?;
             }
             match sought.key {
-                "solids_fraction" => fields.solids_fraction = transpose(&columns[0], &axes, &lattice),
+                "solids_fraction" => {
+                    fields.solids_fraction = transpose(&columns[0], &axes, &lattice)
+                }
                 "solids_velocity" => fields.solids_velocity = vector(columns, &label)?,
                 "gas_velocity" => fields.gas_velocity = vector(columns, &label)?,
                 "pressure_gradient" => {
                     fields.pressure = Some(Pressure::Gradient(vector(columns, &label)?));
                 }
                 "pressure" if fields.pressure.is_none() => {
-                    fields.pressure = Some(Pressure::Field(transpose(&columns[0], &axes, &lattice)));
+                    fields.pressure =
+                        Some(Pressure::Field(transpose(&columns[0], &axes, &lattice)));
                 }
                 "drag_coefficient" => {
                     check_sign(&columns[0], &lattice, &finder, &label)?;
@@ -519,7 +552,9 @@ impl Map {
                 "solids_pressure" => {
                     fields.solids_pressure = Some(transpose(&columns[0], &axes, &lattice));
                 }
-                "solids_stress" => fields.solids_stress = Some(tensor(columns, &axes, &lattice, &path, &label)?),
+                "solids_stress" => {
+                    fields.solids_stress = Some(tensor(columns, &axes, &lattice, &path, &label)?)
+                }
                 _ => {}
             }
         }
@@ -542,7 +577,8 @@ impl Map {
         if resolved.fields.pressure.is_some() {
             return Ok(());
         }
-        let Some(piece) = pieces.iter().find(|piece| piece.arrays.iter().any(|a| a.name == "p_rgh"))
+        let Some(piece) =
+            pieces.iter().find(|piece| piece.arrays.iter().any(|a| a.name == "p_rgh"))
         else {
             return Ok(());
         };
@@ -654,10 +690,14 @@ impl Map {
         if flat > 1 || found.is_empty() {
             return Err(ResolvedError::format(
                 &lattice.1,
-                format!("it has {:?} cells: fields in two or three dimensions are accepted", found.cells),
+                format!(
+                    "it has {:?} cells: fields in two or three dimensions are accepted",
+                    found.cells
+                ),
             ));
         }
-        if let Some(axis) = (0..3).find(|a| found.spacing[*a].is_nan() || found.spacing[*a] <= 0.0) {
+        if let Some(axis) = (0..3).find(|a| found.spacing[*a].is_nan() || found.spacing[*a] <= 0.0)
+        {
             let why = format!("its cells are {} long along {}", found.spacing[axis], AXES[axis]);
             return Err(ResolvedError::format(&lattice.1, why));
         }
@@ -742,7 +782,8 @@ impl Map {
         };
         let [fraction, velocity, temperature] =
             deposit(path, &table, lattice, periodic, hints.thickness, hints.kernel)?;
-        let array = |name: &str, columns| super::Array { name: name.into(), columns, dimensions: None };
+        let array =
+            |name: &str, columns| super::Array { name: name.into(), columns, dimensions: None };
         Ok(Piece {
             path: path.clone(),
             arrays: vec![
@@ -812,15 +853,17 @@ impl Finder<'_> {
         let coordinate =
             |name: &str| self.lattice.and_then(|_| AXES.iter().position(|axis| *axis == name));
         let there = |name: &str| self.array(name).is_some() || coordinate(name).is_some();
-        let choice = sought.choices.iter().find(|choice| {
-            sought.given || choice.iter().flat_map(Expression::names).all(there)
-        });
+        let choice = sought
+            .choices
+            .iter()
+            .find(|choice| sought.given || choice.iter().flat_map(Expression::names).all(there));
         let Some(choice) = choice else {
             // An array that is there and cannot be used is worth a word even where none is needed.
-            let hindered = sought.choices.iter().flatten().flat_map(Expression::names).find_map(|name| {
-                let (path, why) = self.hindrance(name)?;
-                Some(ResolvedError::array(path, name, why))
-            });
+            let hindered =
+                sought.choices.iter().flatten().flat_map(Expression::names).find_map(|name| {
+                    let (path, why) = self.hindrance(name)?;
+                    Some(ResolvedError::array(path, name, why))
+                });
             if let Some(error) = hindered {
                 return Err(error);
             }
@@ -861,14 +904,16 @@ impl Finder<'_> {
                 ));
             }
             let find = |name: &str| match (self.array(name), coordinate(name), self.lattice) {
-                (Some((array, _)), ..) => match array.columns.iter().find(|c| c.len() != self.len) {
-                    None => Ok(array.columns.clone()),
-                    Some(column) => Err(format!(
-                        "it has {} values and {} are needed, one per cell",
-                        column.len(),
-                        self.len
-                    )),
-                },
+                (Some((array, _)), ..) => {
+                    match array.columns.iter().find(|c| c.len() != self.len) {
+                        None => Ok(array.columns.clone()),
+                        Some(column) => Err(format!(
+                            "it has {} values and {} are needed, one per cell",
+                            column.len(),
+                            self.len
+                        )),
+                    }
+                }
                 (None, Some(axis), Some(lattice)) => Ok(vec![centres(lattice, axis)]),
                 _ => Err(format!("no array {name}")),
             };
@@ -891,7 +936,11 @@ impl Finder<'_> {
             }
             for (component, column) in found.iter().enumerate() {
                 if let Some(n) = column.iter().position(|value| !value.is_finite()) {
-                    let part = if found.len() > 1 { format!(" component {component}") } else { String::new() };
+                    let part = if found.len() > 1 {
+                        format!(" component {component}")
+                    } else {
+                        String::new()
+                    };
                     let array = format!("{}{part}", formula.text());
                     let why = "a finite number is needed everywhere: was the file written by a run \
                         that failed, or masked?";
@@ -1069,7 +1118,8 @@ fn tensor(
     label: &str,
 ) -> Result<Columns, ResolvedError> {
     if columns.len() != 6 {
-        let why = format!("it has {} components and 6 are needed: xx, yy, zz, xy, yz, xz", columns.len());
+        let why =
+            format!("it has {} components and 6 are needed: xx, yy, zz, xy, yz, xz", columns.len());
         return Err(ResolvedError::array(path, label, why));
     }
     let mut found = Columns::new();

@@ -122,8 +122,7 @@ fn numbers(kind: &str, data: &[u8]) -> Result<Vec<f64>, String> {
 /// `values` whose first index is fastest, with the last one fastest.
 fn to_c_order(values: &[f64], shape: &[usize]) -> Vec<f64> {
     let mut index = vec![0; shape.len()];
-    let strides: Vec<usize> =
-        (0..shape.len()).map(|axis| shape[..axis].iter().product()).collect();
+    let strides: Vec<usize> = (0..shape.len()).map(|axis| shape[..axis].iter().product()).collect();
     (0..values.len())
         .map(|_| {
             let from: usize = index.iter().zip(&strides).map(|(i, stride)| i * stride).sum();
@@ -266,8 +265,10 @@ pub fn time(path: &Path) -> Result<Option<f64>, ResolvedError> {
     Ok(time)
 }
 
-type Take<'a> =
-    &'a mut dyn FnMut(&str, &mut dyn FnMut() -> Result<Npy, ResolvedError>) -> Result<(), ResolvedError>;
+type Take<'a> = &'a mut dyn FnMut(
+    &str,
+    &mut dyn FnMut() -> Result<Npy, ResolvedError>,
+) -> Result<(), ResolvedError>;
 
 /// Offers each array at `path` by its name to `take`, in the order of the names.
 fn for_each_array(path: &Path, take: Take<'_>) -> Result<(), ResolvedError> {

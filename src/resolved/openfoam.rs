@@ -40,7 +40,8 @@ pub fn times(path: &Path) -> Result<Option<Vec<PathBuf>>, ResolvedError> {
             folders.push(folder);
         }
     }
-    folders.sort_by(|a, b| time_of(a).partial_cmp(&time_of(b)).unwrap_or(std::cmp::Ordering::Equal));
+    folders
+        .sort_by(|a, b| time_of(a).partial_cmp(&time_of(b)).unwrap_or(std::cmp::Ordering::Equal));
     if folders.is_empty() {
         let why = if path.join("processor0").is_dir() {
             "the case is decomposed: run reconstructPar first"
@@ -73,15 +74,15 @@ impl Mesh {
         let case = case_of(time);
         let folder = case.join("constant/polyMesh");
         if !folder.is_dir() {
-            let why = if case.file_name().is_some_and(|n| n.to_string_lossy().starts_with("processor"))
-            {
-                "it is a part of a decomposed case: run reconstructPar first".into()
-            } else {
-                format!(
-                    "it is not in an OpenFOAM case: there is no mesh {}; run blockMesh first",
-                    folder.display()
-                )
-            };
+            let why =
+                if case.file_name().is_some_and(|n| n.to_string_lossy().starts_with("processor")) {
+                    "it is a part of a decomposed case: run reconstructPar first".into()
+                } else {
+                    format!(
+                        "it is not in an OpenFOAM case: there is no mesh {}; run blockMesh first",
+                        folder.display()
+                    )
+                };
             return Err(ResolvedError::format(time, why));
         }
         let points = Foam::open(&folder.join("points"))?;
@@ -142,7 +143,8 @@ impl Mesh {
     }
 }
 
-fn case_of(time: &Path) -> PathBuf {
+/// The case of a time folder.
+pub fn case_of(time: &Path) -> PathBuf {
     match time.parent() {
         Some(case) if !case.as_os_str().is_empty() => case.to_owned(),
         _ => PathBuf::from("."),
@@ -202,7 +204,8 @@ pub fn read(
             "volTensorField" => 9,
             other => return Err(refuse(format!("its class is {other}, which is not read"))),
         };
-        let (dimensions, internal) = field.parse(|cursor, style| cursor.field(style, components))?;
+        let (dimensions, internal) =
+            field.parse(|cursor, style| cursor.field(style, components))?;
         let count = mesh.places.len();
         let mut columns = vec![vec![0.0; count]; components];
         match internal {
@@ -214,7 +217,9 @@ pub fn read(
             Internal::List(list) => {
                 if list.iter().any(|from| from.len() != count) {
                     let found = list[0].len();
-                    return Err(refuse(format!("it has {found} values and the mesh {count} cells")));
+                    return Err(refuse(format!(
+                        "it has {found} values and the mesh {count} cells"
+                    )));
                 }
                 for (column, list) in columns.iter_mut().zip(list) {
                     for (place, value) in mesh.places.iter().zip(list) {

@@ -221,7 +221,8 @@ mod tests {
                     for axis in 0..2 {
                         let given = volumes.clone().zip(&particles.velocity[axis]);
                         let given: f64 = given.map(|(volume, u)| volume * u).sum();
-                        let kept: f64 = phi[0].iter().zip(&u[axis]).map(|(p, u)| p * cell * u).sum();
+                        let kept: f64 =
+                            phi[0].iter().zip(&u[axis]).map(|(p, u)| p * cell * u).sum();
                         assert!((kept / given - 1.0).abs() < 1e-12);
                     }
                 }
@@ -252,7 +253,10 @@ mod tests {
         near(one(14.0, false).unwrap(), [0.0, 0.0, 0.0, 1.0]);
         near(one(14.25, true).unwrap(), [0.75, 0.0, 0.0, 0.25]);
         let error = one(14.25, false).unwrap_err().to_string();
-        assert!(error.contains("14.25 along x lies outside the box, which ends at 10 and 14"), "{error}");
+        assert!(
+            error.contains("14.25 along x lies outside the box, which ends at 10 and 14"),
+            "{error}"
+        );
     }
 
     #[test]

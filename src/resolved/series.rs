@@ -1,4 +1,4 @@
-//! Files in the order of time: [`instants`] sorts what was typed, [`Reader`] reads one after the other.
+//! Files in the order of time: [`runs`] sorts what was typed, [`Reader`] reads one after the other.
 
 use super::map::Map;
 use super::openfoam::{self, Mesh};
@@ -43,17 +43,54 @@ fn extension(path: &Path) -> String {
     path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase()
 }
 
-/// The instants that `paths` hold, in the order of time: files, series, folders of files, OpenFOAM
-/// cases. Files of one time are one instant, such as particles and the gas on a grid; so are single
-/// .npy files of one folder.
+/// The runs that `paths` hold, each with its instants in the order of time: every folder, series or
+/// OpenFOAM case is a run of its own, single files are one run together. Files of a run that are of
+/// one time are one instant, such as particles and the gas on a grid; so are single .npy files of one
+/// folder.
 ///
 /// # Errors
 /// A path cannot be read, is of no known format, or times are missing.
-pub fn instants(paths: &[PathBuf], map: &Map) -> Result<Vec<Instant>, ResolvedError> {
-    let mut sources = Vec::new();
+pub fn runs(paths: &[PathBuf], map: &Map) -> Result<Vec<Vec<Instant>>, ResolvedError> {
+    // The run of loose files, if there are any, stands where the first of them was given.
+    let mut runs: Vec<(Option<PathBuf>, Vec<Source>)> = Vec::new();
     for path in paths {
+        let run = if path.is_dir() {
+            let time_folder = is_time_folder(path);
+            let npy = !time_folder && is_npy_folder(path)?;
+            match (time_folder, npy) {
+                (true, _) => Some(openfoam::case_of(path)),
+                (false, true) => None,
+                (false, false) => Some(path.clone()),
+            }
+        } else {
+            (extension(path) == "pvd").then(|| path.clone())
+        };
+        let mut sources = Vec::new();
         expand(path, &mut sources)?;
+        match runs.iter_mut().find(|(other, _)| *other == run) {
+            Some((_, all)) => all.append(&mut sources),
+            None => runs.push((run, sources)),
+        }
     }
+    runs.into_iter().map(|(_, sources)| instants(sources, map)).collect()
+}
+
+/// Whether `path` is a time folder in an OpenFOAM case: any folder may be named as a number.
+fn is_time_folder(path: &Path) -> bool {
+    openfoam::is_time_folder(path) && openfoam::case_of(path).join("constant").is_dir()
+}
+
+fn is_npy_folder(path: &Path) -> Result<bool, ResolvedError> {
+    for entry in std::fs::read_dir(path).map_err(ResolvedError::read(path))? {
+        if extension(&entry.map_err(ResolvedError::read(path))?.path()) == "npy" {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
+/// The instants of one run.
+fn instants(sources: Vec<Source>, map: &Map) -> Result<Vec<Instant>, ResolvedError> {
     let (scale, interval) = map.time_scale();
     let (known, unknown): (Vec<_>, Vec<_>) =
         sources.into_iter().partition(|source| source.time.is_some());
@@ -65,7 +102,9 @@ pub fn instants(paths: &[PathBuf], map: &Map) -> Result<Vec<Instant>, ResolvedEr
     let mut instants: Vec<Instant> = Vec::new();
     for (time, path) in known {
         match instants.last_mut() {
-            Some(last) if (time - last.time).abs() <= SAME_TIME * time.abs() => last.paths.push(path),
+            Some(last) if (time - last.time).abs() <= SAME_TIME * time.abs() => {
+                last.paths.push(path)
+            }
             _ => instants.push(Instant { time, paths: vec![path] }),
         }
     }
@@ -144,8 +183,7 @@ pub fn instants(paths: &[PathBuf], map: &Map) -> Result<Vec<Instant>, ResolvedEr
 /// Adds what `path` stands for.
 fn expand(path: &Path, sources: &mut Vec<Source>) -> Result<(), ResolvedError> {
     if path.is_dir() {
-        // A folder may be named as a number and still be no time folder.
-        if openfoam::is_time_folder(path) && path.with_file_name("constant").is_dir() {
+        if is_time_folder(path) {
             sources.push(Source { path: path.to_owned(), time: openfoam::time_of(path) });
             return Ok(());
         }
@@ -154,21 +192,23 @@ fn expand(path: &Path, sources: &mut Vec<Source>) -> Result<(), ResolvedError> {
             sources.extend(folders.into_iter().map(source));
             return Ok(());
         }
+        if is_npy_folder(path)? {
+            sources.push(Source { path: path.to_owned(), time: numpy::time(path)? });
+            return Ok(());
+        }
         let mut files = Vec::new();
         for entry in std::fs::read_dir(path).map_err(ResolvedError::read(path))? {
             files.push(entry.map_err(ResolvedError::read(path))?.path());
         }
         files.sort();
         let of = |end: &str| files.iter().filter(|file| extension(file) == end).collect::<Vec<_>>();
-        if !of("npy").is_empty() {
-            sources.push(Source { path: path.to_owned(), time: numpy::time(path)? });
-            return Ok(());
-        }
         let found = ["vti", "vtr", "vtu", "npz"].map(of);
         let mut found = found.into_iter().filter(|files| !files.is_empty());
         return match (found.next(), found.next()) {
             (Some(files), None) => files.into_iter().try_for_each(|file| expand(file, sources)),
-            (None, _) => Err(ResolvedError::format(path, format!("nothing in it is read: {FORMATS}"))),
+            (None, _) => {
+                Err(ResolvedError::format(path, format!("nothing in it is read: {FORMATS}")))
+            }
             (Some(_), Some(_)) => {
                 let why = "it holds files of several formats: name those that are meant";
                 Err(ResolvedError::format(path, why))
@@ -186,7 +226,9 @@ fn expand(path: &Path, sources: &mut Vec<Source>) -> Result<(), ResolvedError> {
         "vti" | "vtr" | "vtu" | "vtp" | "pvti" | "pvtr" | "pvtu" => vtk::time(path)?,
         "npz" => numpy::time(path)?,
         "npy" | "csv" => None,
-        _ => return Err(ResolvedError::format(path, format!("its format is not known: {FORMATS}"))),
+        _ => {
+            return Err(ResolvedError::format(path, format!("its format is not known: {FORMATS}")));
+        }
     };
     sources.push(Source { path: path.to_owned(), time });
     Ok(())
@@ -217,9 +259,6 @@ pub enum SeriesError {
         /// Why not.
         source: StoredError,
     },
-    /// There is nothing to read.
-    #[error("no fields were given")]
-    Empty,
 }
 
 impl<'a> Reader<'a> {
@@ -250,10 +289,10 @@ impl<'a> Reader<'a> {
         }
         if let Some(case) = &self.case {
             self.map.add_weight(&mut resolved, &weight, case)?;
-            resolved.fields.check().map_err(|source| SeriesError::Stored {
-                path: resolved.path.clone(),
-                source,
-            })?;
+            resolved
+                .fields
+                .check()
+                .map_err(|source| SeriesError::Stored { path: resolved.path.clone(), source })?;
             if !self.map.trusts() {
                 plausible(&resolved, case)?;
             }
@@ -268,7 +307,7 @@ impl<'a> Reader<'a> {
 
     fn piece(&mut self, path: &Path) -> Result<Piece, ResolvedError> {
         let wanted = |name: &str| self.map.wants(name);
-        if openfoam::is_time_folder(path) && path.with_file_name("constant").is_dir() {
+        if is_time_folder(path) {
             let mesh = match self.mesh.take().filter(|mesh| mesh.is_of(path)) {
                 Some(mesh) => mesh,
                 None => Mesh::of(path)?,
@@ -337,8 +376,7 @@ fn plausible(resolved: &Resolved, case: &Case) -> Result<(), ResolvedError> {
     }
     if let Some(beta) = &resolved.fields.drag_coefficient {
         let law = case.physics.drag.law(&case.gas, &case.powder);
-        let expected =
-            mean(&|n| law.beta_per_fraction(solids_fraction[n], slip_squared(n).sqrt()));
+        let expected = mean(&|n| law.beta_per_fraction(solids_fraction[n], slip_squared(n).sqrt()));
         // The mean over the solids of β/φ, from that of β.
         let found = beta.iter().sum::<f64>() / total;
         let ratio = found / expected;
@@ -353,9 +391,9 @@ fn plausible(resolved: &Resolved, case: &Case) -> Result<(), ResolvedError> {
     let vertical = spacing.len() - 1;
     let weight = case.powder.density * case.physics.gravity;
     let slope = match &resolved.fields.pressure {
-        Some(Pressure::Gradient(slope)) => {
-            (slope[vertical].iter().map(|q| q * q).sum::<f64>() / slope[vertical].len() as f64).sqrt()
-        }
+        Some(Pressure::Gradient(slope)) => (slope[vertical].iter().map(|q| q * q).sum::<f64>()
+            / slope[vertical].len() as f64)
+            .sqrt(),
         Some(Pressure::Field(pressure)) => {
             let (low, high) = pressure
                 .iter()

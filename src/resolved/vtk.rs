@@ -282,7 +282,10 @@ fn unpack(compressor: Compressor, packed: &[u8], expected: usize) -> Result<Vec<
 }
 
 /// The element children of `node` called `name`.
-fn children<'a, 'i: 'a>(node: Node<'a, 'i>, name: &'static str) -> impl Iterator<Item = Node<'a, 'i>> {
+fn children<'a, 'i: 'a>(
+    node: Node<'a, 'i>,
+    name: &'static str,
+) -> impl Iterator<Item = Node<'a, 'i>> {
     node.children().filter(move |child| child.has_tag_name(name))
 }
 
@@ -290,7 +293,10 @@ fn child<'a, 'i: 'a>(node: Node<'a, 'i>, name: &'static str) -> Option<Node<'a, 
     children(node, name).next()
 }
 
-fn attribute<const N: usize, T: std::str::FromStr>(node: Node, name: &str) -> Result<[T; N], String> {
+fn attribute<const N: usize, T: std::str::FromStr>(
+    node: Node,
+    name: &str,
+) -> Result<[T; N], String> {
     let text = node.attribute(name).unwrap_or_default();
     let numbers: Vec<T> =
         text.split_ascii_whitespace().filter_map(|word| word.parse().ok()).collect();
@@ -356,7 +362,8 @@ pub fn read(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Piece, Resolve
             let document = file.parse()?;
             let root = document.root_element();
             let encoding = file.encoding(root)?;
-            let inner = root.children().find(|child| child.is_element() && child.has_tag_name(kind));
+            let inner =
+                root.children().find(|child| child.is_element() && child.has_tag_name(kind));
             let inner = inner.ok_or_else(|| {
                 ResolvedError::format(&file.path, format!("it holds no <{kind}>"))
             })?;
@@ -370,7 +377,9 @@ pub fn read(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Piece, Resolve
         parts
     } else {
         let parts = children(dataset, "Piece");
-        parts.map(|part| Part::read(path, kind, part, &encoding, wanted)).collect::<Result<_, _>>()?
+        parts
+            .map(|part| Part::read(path, kind, part, &encoding, wanted))
+            .collect::<Result<_, _>>()?
     };
     match kind.trim_start_matches("P") {
         "ImageData" => image(dataset, &mut piece).map_err(refuse)?,
@@ -412,7 +421,8 @@ impl Part {
     ) -> Result<Self, ResolvedError> {
         let refuse = |why: String| ResolvedError::format(path, why);
         let particles = kind == "PolyData";
-        let [held, other] = if particles { ["PointData", "CellData"] } else { ["CellData", "PointData"] };
+        let [held, other] =
+            if particles { ["PointData", "CellData"] } else { ["CellData", "PointData"] };
         let mut read = Self { arrays: Vec::new(), others: Vec::new(), shape: Shape::Particles };
         let mut ghosts = None;
         for array in child(part, held).into_iter().flat_map(|data| children(data, "DataArray")) {
@@ -431,18 +441,20 @@ impl Part {
         }
         for array in child(part, other).into_iter().flat_map(|data| children(data, "DataArray")) {
             let name = array.attribute("Name").unwrap_or_default().to_owned();
-            let why = if particles { "it is data of cells and not of particles" } else { POINT_DATA };
+            let why =
+                if particles { "it is data of cells and not of particles" } else { POINT_DATA };
             read.others.push((name, Some(why)));
         }
         read.shape = match kind {
             "ImageData" => Shape::Extent(attribute(part, "Extent").map_err(refuse)?),
             "RectilinearGrid" => {
                 let coordinates = child(part, "Coordinates");
-                let mut axes = coordinates
-                    .into_iter()
-                    .flat_map(|node| children(node, "DataArray"))
-                    .map(|array| values(path, array, encoding).map(|mut columns| columns.remove(0)));
-                let mut axis = || axes.next().unwrap_or_else(|| Err(refuse("a coordinate is missing".into())));
+                let mut axes =
+                    coordinates.into_iter().flat_map(|node| children(node, "DataArray")).map(
+                        |array| values(path, array, encoding).map(|mut columns| columns.remove(0)),
+                    );
+                let mut axis =
+                    || axes.next().unwrap_or_else(|| Err(refuse("a coordinate is missing".into())));
                 let coordinates = [axis()?, axis()?, axis()?];
                 Shape::Coordinates(attribute(part, "Extent").map_err(refuse)?, coordinates)
             }
@@ -518,7 +530,8 @@ fn boxes(
             .into_iter()
             .flat_map(|cells| children(cells, "DataArray"))
             .find(|array| array.attribute("Name") == Some(name));
-        let array = array.ok_or_else(|| ResolvedError::format(path, format!("<Cells> has no {name}")))?;
+        let array =
+            array.ok_or_else(|| ResolvedError::format(path, format!("<Cells> has no {name}")))?;
         Ok(values(path, array, encoding)?.remove(0))
     };
     let (connectivity, offsets, types) = (list("connectivity")?, list("offsets")?, list("types")?);
@@ -541,7 +554,8 @@ fn boxes(
         for id in ids {
             for axis in 0..3 {
                 let at = points[axis].get(*id as usize);
-                let at = *at.ok_or_else(|| refuse(format!("has a corner {id} that is no point")))?;
+                let at =
+                    *at.ok_or_else(|| refuse(format!("has a corner {id} that is no point")))?;
                 corner[0][axis] = corner[0][axis].min(at);
                 corner[1][axis] = corner[1][axis].max(at);
             }
@@ -557,7 +571,9 @@ fn image(dataset: Node, piece: &mut Piece) -> Result<(), String> {
     if let Some(direction) = dataset.attribute("Direction") {
         let numbers: [f64; 9] = attribute(dataset, "Direction")?;
         if numbers != [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0] {
-            return Err(format!("its axes are turned, Direction = \"{direction}\": turn them back"));
+            return Err(format!(
+                "its axes are turned, Direction = \"{direction}\": turn them back"
+            ));
         }
     }
     let spacing: [f64; 3] = attribute(dataset, "Spacing")?;
@@ -631,7 +647,8 @@ fn rectilinear(parts: &[Part], dataset: Node, piece: &mut Piece) -> Result<(), S
 fn join(parts: Vec<Part>, piece: &mut Piece) -> Result<(), (Option<String>, String)> {
     let Some(first) = parts.first() else { return Err((None, "it holds no <Piece>".into())) };
     piece.others = first.others.clone();
-    let names: Vec<_> = first.arrays.iter().map(|(name, columns)| (name.clone(), columns.len())).collect();
+    let names: Vec<_> =
+        first.arrays.iter().map(|(name, columns)| (name.clone(), columns.len())).collect();
     piece.particles = matches!(first.shape, Shape::Particles);
     // For every part the numbers of its cells on the whole lattice.
     let mut places: Vec<Vec<usize>> = Vec::new();

@@ -6,11 +6,12 @@
 
 use super::map::vtk_index;
 use super::numpy::NpzWriter;
+use crate::case::{Case, FieldsChoice};
 use crate::fine::{FineFields, symmetric_index};
 use std::borrow::Cow;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Seek, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The formats of snapshots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -206,13 +207,112 @@ fn write_npz<const D: usize, W: Write + Seek>(
     zip.finish()
 }
 
+/// Keeps the fields of a box in a folder of its own, one file per snapshot.
+#[derive(Clone, Debug)]
+pub struct Recorder {
+    folder: PathBuf,
+    format: Format,
+    /// A snapshot is every so many samples.
+    every: u64,
+    case: String,
+}
+
+/// Why a box cannot be recorded.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// A snapshot cannot be written.
+    #[error("cannot write {path}", path = path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// A snapshot of before an interruption is gone.
+    #[error("{path} is gone, which was written before the interruption: start anew with --force", path = path.display())]
+    Gone {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+impl Recorder {
+    /// What keeps the fields of `case` in `folder`; none if it asks for none.
+    pub fn new(case: &Case, folder: PathBuf) -> Option<Self> {
+        let format = match case.output.fields {
+            FieldsChoice::None => return None,
+            FieldsChoice::Vti => Format::Vti,
+            FieldsChoice::Npz => Format::Npz,
+        };
+        let every =
+            (case.output.fields_interval / case.run.sample_interval).round().max(1.0) as u64;
+        Some(Self { folder, format, every, case: case.to_toml() })
+    }
+
+    /// Makes the folder, and looks whether the snapshots up to sample number `done` are there.
+    ///
+    /// # Errors
+    /// The folder cannot be made, or a snapshot is gone.
+    pub fn begin(&self, done: u64) -> Result<(), RecordError> {
+        fs::create_dir_all(&self.folder).map_err(|source| {
+            let path = self.folder.clone();
+            RecordError::Write { path, source }
+        })?;
+        match self.names(done).map(|(_, name)| self.folder.join(name)).find(|path| !path.is_file())
+        {
+            Some(path) => Err(RecordError::Gone { path }),
+            None => Ok(()),
+        }
+    }
+
+    /// Keeps `fine`, if a snapshot is due at sample number `sample`; `signals` gives the means of the
+    /// box by the number of a sample.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn record<const D: usize>(
+        &self,
+        sample: u64,
+        fine: &FineFields<D>,
+        signals: impl Fn(usize) -> [f64; 3],
+    ) -> Result<(), RecordError> {
+        if sample % self.every != 0 {
+            return Ok(());
+        }
+        let path = self.folder.join(self.name(sample));
+        let companions =
+            Companions { case: &self.case, signals: [signals(sample as usize), signals(0)] };
+        write(&path, self.format, fine, &companions)
+            .map_err(|source| RecordError::Write { path, source })
+    }
+
+    /// The format.
+    pub fn format(&self) -> Format {
+        self.format
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Number of the sample and name of every snapshot up to sample number `last`.
+    pub fn names(&self, last: u64) -> impl Iterator<Item = (u64, String)> {
+        (1..=last / self.every).map(|n| (n * self.every, self.name(n * self.every)))
+    }
+
+    fn name(&self, sample: u64) -> String {
+        format!("{sample:06}.{}", self.format.extension())
+    }
+}
+
 /// Writes the series (.pvd) of `files`, each with its time \[s\].
 ///
 /// # Errors
 /// Those of `to`.
-pub fn write_series<'a>(
+pub fn write_series(
     to: &mut dyn Write,
-    files: impl Iterator<Item = (f64, &'a str)>,
+    files: impl Iterator<Item = (f64, String)>,
 ) -> io::Result<()> {
     writeln!(
         to,
