@@ -42,7 +42,10 @@ const ALLOWED: &[(&str, &str)] = &[
         "pipeline",
         "bench case checkpoint figure fit forms laws model output progress series simulate stability statistics summary table",
     ),
-    ("bench", "blocking case filter fine grid laws real rows series simulate statistics two_fluid"),
+    (
+        "bench",
+        "blocking case filter filtered fine grid laws real rows series simulate statistics two_fluid",
+    ),
     ("hard", "case grid laws real two_fluid"),
     ("verify", "case field grid laws poisson real stability two_fluid"),
 ];
