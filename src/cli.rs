@@ -39,6 +39,16 @@ Examples:
 Ctrl-C ends a run, leaves nothing half-written and keeps its state beside the output folder, in
 DIR.checkpoint. Exit status: 0 done, 1 failed while running, 2 misuse, 130 interrupted.";
 
+const FILTER_EXAMPLES: &str = "\
+Examples:
+  favre filter favre-out/one favre-out/two  one bin table of both, to favre-out/pool
+  favre filter favre-out/seed-* --out all   of several seeds; a pool can be pooled again
+
+The table is of all runs' sums, as if they had been boxes of one run. disagreements.csv lists the bins
+in which boxes of different mean solids fraction are further apart than their 95 % intervals allow.
+
+Exit status: 0 done, 1 failed, 2 misuse.";
+
 const STABILITY_EXAMPLES: &str = "\
 Examples:
   favre stability my-powder.toml            table and figure go to favre-out/my-powder-stability
@@ -60,6 +70,8 @@ pub struct Cli {
 pub enum Command {
     /// Simulate, filter, bin and fit one case
     Run(Run),
+    /// Put runs together: one bin table from the sums of all, and where they disagree
+    Filter(Filter),
     /// Growth of waves on a case's uniform state, and the grid and box they ask for
     Stability(Stability),
     /// Measure how fast this machine runs the kernels
@@ -105,6 +117,24 @@ pub struct Run {
     /// Simulated time of each box, instead of the case's: seconds, or text such as '20 u_t/g'
     #[arg(long, value_name = "T", allow_hyphen_values = true)]
     pub duration: Option<String>,
+}
+
+/// `favre filter`.
+#[derive(Args, Debug)]
+#[command(after_help = FILTER_EXAMPLES)]
+pub struct Filter {
+    /// Folders of runs, or their sums.favre
+    #[arg(value_name = "RUN", required = true)]
+    pub runs: Vec<PathBuf>,
+    /// Folder for the results [default: favre-out/pool]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Replace earlier results, once the new ones are complete
+    #[arg(long)]
+    pub force: bool,
+    /// Print what was found as JSON
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// `favre stability`.

@@ -17,6 +17,7 @@ use favre::checkpoint::Checkpoints;
 use favre::hard;
 use favre::output::Output;
 use favre::pipeline::{self, RunError, RunOptions};
+use favre::pool::Pool;
 use favre::verify::{self, Effort};
 
 use cli::{Cli, Command};
@@ -46,6 +47,7 @@ impl Failure {
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Some(Command::Run(args)) => run(&args),
+        Some(Command::Filter(args)) => filter(&args),
         Some(Command::Stability(args)) => stability(&args),
         Some(Command::Bench(args)) => bench(&args),
         Some(Command::Verify(args)) => verify(&args),
@@ -154,6 +156,16 @@ fn command_to_go_on(args: &cli::Run) -> String {
         command += &format!(" {option}{space}{value}");
     }
     command + " --resume"
+}
+
+fn filter(args: &cli::Filter) -> Result<(), Failure> {
+    let pool = Pool::read(&args.runs).map_err(Failure::misuse)?;
+    let dir = args.out.as_deref().unwrap_or(Path::new("favre-out/pool"));
+    let output = Output::create(dir, args.force).map_err(Failure::misuse)?;
+    let summary = pipeline::pooled(&pool, &output).map_err(Failure::failed)?;
+    let dir = output.commit().map_err(Failure::failed)?;
+    say(format_args!("favre: tables are in {}", dir.display()));
+    if args.json { print_json(&summary) } else { print(&summary) }
 }
 
 fn stability(args: &cli::Stability) -> Result<(), Failure> {

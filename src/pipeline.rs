@@ -11,12 +11,14 @@ use crate::model::{
     Definitions, Model, ModelError, Source, System, binned_closure_rows, closure_rows,
 };
 use crate::output::{Output, OutputError, RUN_FILE};
+use crate::pool::{Pool, PoolSummary};
 use crate::progress::Progress;
 use crate::series::Onset;
 use crate::simulate::{SimulateError, Simulated, Underway, simulate_from};
 use crate::stability::{self, Stability, StabilityError};
 use crate::statistics::{MergeError, Sums, bin_table};
 use crate::summary::{BoxSummary, Machine, Summary};
+use crate::sums::{RunSums, SUMS_FILE, SumsFile, SumsSystem};
 use crate::table::{BinRow, write_rows};
 use std::io::{self, Write};
 use std::sync::Mutex;
@@ -116,6 +118,8 @@ pub fn run(
         Machine { threads, seconds: checkpoints.seconds(), ..Machine::here() },
     );
     export(case, output, &boxes, &bins, model.as_ref().ok(), &summary)?;
+    let sums = sums_file(case, sums);
+    output.write(SUMS_FILE, |file| sums.write(file))?;
     Ok(summary)
 }
 
@@ -132,6 +136,22 @@ pub fn stability(case: &Case, output: &Output) -> Result<Stability, RunError> {
     output.write("stability.svg", |file| file.write_all(drawing.svg().as_bytes()))?;
     output.write(RUN_FILE, |file| Ok(serde_json::to_writer_pretty(file, &found)?))?;
     Ok(found)
+}
+
+/// Runs put together in `output`, which the caller commits: bins.csv, the pooled sums, where boxes of
+/// different mean solids fraction disagree, and run.json.
+///
+/// # Errors
+/// A file cannot be written.
+pub fn pooled(pool: &Pool, output: &Output) -> Result<PoolSummary, RunError> {
+    output.write("bins.csv", |file| write_rows(&pool.bins, file).map_err(io::Error::other))?;
+    output.write(SUMS_FILE, |file| pool.file.write(file))?;
+    output.write("disagreements.csv", |file| {
+        pool.write_disagreements(file).map_err(io::Error::other)
+    })?;
+    let summary = pool.summary();
+    output.write(RUN_FILE, |file| Ok(serde_json::to_writer_pretty(file, &summary)?))?;
+    Ok(summary)
 }
 
 /// Speed against error in `output`, which the caller commits: error.csv, a figure per quantity and
@@ -280,6 +300,25 @@ fn steady_part(simulated: &Simulated, scales: &Scales) -> (Sums, BoxSummary) {
     let mut sums = simulated.sums.clone();
     sums.discard_before(start);
     (sums, BoxSummary::new(simulated, start, onset, scales))
+}
+
+/// The sums of a case's boxes, to be kept.
+fn sums_file(case: &Case, sums: Vec<Sums>) -> SumsFile {
+    let runs = case
+        .domain
+        .solids_fractions
+        .iter()
+        .zip(sums)
+        .map(|(&solids_fraction, sums)| RunSums { name: case.name.clone(), solids_fraction, sums });
+    SumsFile {
+        system: SumsSystem {
+            powder: case.powder,
+            gas: case.gas,
+            gravity: case.physics.gravity,
+            drag: case.physics.drag.to_string(),
+        },
+        runs: runs.collect(),
+    }
 }
 
 fn fit_drag_correction(bins: &[BinRow]) -> Result<Fit, FitError> {

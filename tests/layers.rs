@@ -26,7 +26,8 @@ const ALLOWED: &[(&str, &str)] = &[
     ("statistics", "blocking filter filtered fine grid lanes laws moments rows spectral table"),
     ("stored", "filter fine grid laws spectral statistics"),
     ("binary", ""),
-    ("sums", "binary filtered spectral statistics"),
+    ("sums", "binary filtered laws spectral statistics"),
+    ("pool", "laws statistics sums table"),
     ("simulate", "case filter fine grid laws real series spectral statistics two_fluid"),
     ("stability", "case laws"),
     ("table", ""),
@@ -40,7 +41,7 @@ const ALLOWED: &[(&str, &str)] = &[
     ("summary", "case laws model rows series simulate stability table"),
     (
         "pipeline",
-        "bench case checkpoint figure fit forms laws model output progress series simulate stability statistics summary table",
+        "bench case checkpoint figure fit forms laws model output pool progress series simulate stability statistics summary sums table",
     ),
     (
         "bench",
