@@ -217,6 +217,7 @@ pub fn simulate_from<R: Real, const D: usize>(
             drag: physics.drag,
             radial_distribution: physics.radial_distribution,
             friction: physics.friction,
+            terms: physics.terms,
             solids_fraction,
             perturbation: run.perturbation,
             seed: run.seed,

@@ -779,6 +779,7 @@ mod tests {
                 drag: CASE.physics.drag,
                 radial_distribution: CASE.physics.radial_distribution,
                 friction: CASE.physics.friction,
+                terms: CASE.physics.terms,
                 solids_fraction: self.phi,
                 perturbation: 1e-4,
                 seed: 0,

@@ -9,7 +9,8 @@
 //!
 //! 1. volume fluxes through the faces: solids upwind, gas the rest of the divergence-free total;
 //! 2. φ and T by those fluxes;
-//! 3. momentum of both phases by the same fluxes, the gas in as many sub-steps as it needs;
+//! 3. momentum of both phases by the same fluxes, the gas in as many sub-steps as it needs (if it
+//!    carries momentum at all, see [`Terms`]);
 //! 4. drag coefficient and kinetic-theory closures;
 //! 5. viscous stress of the solids, with the heat that its loss of kinetic energy makes;
 //! 6. balance of granular energy, implicit in each cell; solids pressure;
@@ -27,7 +28,7 @@ mod sweep;
 mod transport;
 
 use crate::case::{
-    DragChoice, FrictionChoice, RadialDistributionChoice, with_drag, with_friction,
+    DragChoice, FrictionChoice, RadialDistributionChoice, Terms, with_drag, with_friction,
     with_radial_distribution,
 };
 use crate::field::{Faces, Field, Layout, Row};
@@ -109,6 +110,8 @@ pub struct Setup {
     pub radial_distribution: RadialDistributionChoice,
     /// Frictional pressure.
     pub friction: FrictionChoice,
+    /// What of the equations is modelled.
+    pub terms: Terms,
     /// Mean solids fraction of the box.
     pub solids_fraction: f64,
     /// Relative amplitude of the initial random perturbation of the solids fraction.
@@ -144,7 +147,7 @@ pub struct StepReport {
     pub dt: f64,
     /// What limited it.
     pub limit: Limit,
-    /// Sub-steps of the gas.
+    /// Sub-steps of the gas's momentum transport; 0 if it is left out.
     pub gas_steps: usize,
     /// Pressure iterations.
     pub iterations: usize,
@@ -323,7 +326,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             gas_new: Field::zero_faces(layout),
             drag: zeros(),
             right: zeros(),
-            sweeps: sweeps(layout, setup.parallel),
+            sweeps: sweeps(layout, &setup),
             increment: zeros(),
             poisson: Poisson::new(&grid, setup.parallel),
         }
@@ -355,7 +358,11 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let inverse_spacing = self.grid.spacing.map(|h| R::of(1.0 / h));
         let inverse_square: f64 = self.grid.spacing.iter().map(|h| 1.0 / (h * h)).sum();
         let gas_courant = dt * self.gas_speed;
-        let gas_steps = ((gas_courant / COURANT).ceil() as usize).clamp(1, MOST_GAS_STEPS);
+        let gas_steps = if self.setup.terms.gas_inertia {
+            ((gas_courant / COURANT).ceil() as usize).clamp(1, MOST_GAS_STEPS)
+        } else {
+            0
+        };
 
         let before = Before {
             layout: rows.layout(),
@@ -434,7 +441,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         if residual > 100.0 * TOLERANCE {
             return Err(StepError::Pressure { time, iterations, residual, dt, limit });
         }
-        self.gas_speed = self.largest_courant(&self.gas);
+        self.find_gas_speed();
         self.next_dt = self.choose_step(longest, sound, diffusivity, inverse_square);
         Ok(report)
     }
@@ -465,6 +472,12 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             (GROWTH * longest, Limit::Growth),
             |best, next| if next.0 < best.0 { next } else { best },
         )
+    }
+
+    /// Leaves how fast the gas carries momentum across a cell; 0 if it carries none.
+    fn find_gas_speed(&mut self) {
+        self.gas_speed =
+            if self.setup.terms.gas_inertia { self.largest_courant(&self.gas) } else { 0.0 };
     }
 
     /// Largest Σ |u_a|/h_a of a cell \[1/s\].
@@ -633,10 +646,11 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
 
 /// Sweeps over the parts of a box: as many as may be made at once, none much smaller than what it
 /// makes again beside its neighbours.
-fn sweeps<R: Real, const D: usize>(layout: Layout<D>, parallel: bool) -> Vec<Sweep<R, D>> {
+fn sweeps<R: Real, const D: usize>(layout: Layout<D>, setup: &Setup) -> Vec<Sweep<R, D>> {
     let slabs = layout.cells[D - 1];
-    let parts = if parallel { threads().min(slabs / LEAST_SLABS).max(1) } else { 1 };
-    (0..parts).map(|n| Sweep::new(layout, n * slabs / parts, (n + 1) * slabs / parts)).collect()
+    let parts = if setup.parallel { threads().min(slabs / LEAST_SLABS).max(1) } else { 1 };
+    let end = |n| n * slabs / parts;
+    (0..parts).map(|n| Sweep::new(layout, setup.terms, end(n), end(n + 1))).collect()
 }
 
 /// Does all sweeps, each of its part of `after`.
@@ -682,6 +696,7 @@ mod tests {
             drag: DragChoice::WenYu,
             radial_distribution: RadialDistributionChoice::Princeton,
             friction: FrictionChoice::Barrier,
+            terms: Terms::default(),
             solids_fraction,
             perturbation,
             seed: 1,
@@ -732,19 +747,23 @@ mod tests {
         }
     }
 
-    /// Fields after some steps, made in as many parts as there are `threads`.
-    fn in_parts<R: Real, const D: usize>(cells: [usize; D], threads: usize) -> Vec<u8> {
+    /// Fields after some steps of `setup`, made in as many parts as there are `threads`.
+    fn in_parts<R: Real, const D: usize>(
+        cells: [usize; D],
+        threads: usize,
+        setup: Setup,
+    ) -> Vec<u8> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let grid = Grid::new(cells.map(|n| 1.25e-3 * n as f64), cells);
-            let setup = Setup { parallel: threads > 1, ..setup(0.15, 0.5) };
+            let setup = Setup { parallel: threads > 1, ..setup };
             let mut flow = TwoFluid::<R, D>::new(grid, setup);
             assert_eq!(flow.sweeps.len(), threads);
             let mut most_gas_steps = 0;
             for _ in 0..300 {
                 most_gas_steps = most_gas_steps.max(flow.step(f64::INFINITY).unwrap().gas_steps);
             }
-            assert!(most_gas_steps > 1);
+            assert_eq!(most_gas_steps > 1, setup.terms.gas_inertia);
             let mut state = Vec::new();
             flow.save_state(&mut state).unwrap();
             state
@@ -753,12 +772,79 @@ mod tests {
 
     #[test]
     fn parts_make_what_the_whole_makes() {
+        let base = setup(0.15, 0.5);
+        let (flat, deep) = ([32, 49], [16, 10, 50]);
         for threads in [2, 3] {
-            assert!(in_parts::<f64, 2>([32, 49], threads) == in_parts::<f64, 2>([32, 49], 1));
-            assert!(
-                in_parts::<f32, 3>([16, 10, 50], threads) == in_parts::<f32, 3>([16, 10, 50], 1)
-            );
+            let parts = in_parts::<f64, 2>(flat, threads, base);
+            assert!(parts == in_parts::<f64, 2>(flat, 1, base));
+            let parts = in_parts::<f32, 3>(deep, threads, base);
+            assert!(parts == in_parts::<f32, 3>(deep, 1, base));
         }
+        for setup in other_terms(base) {
+            let parts = in_parts::<f64, 2>(flat, 2, setup);
+            assert!(parts == in_parts::<f64, 2>(flat, 1, setup), "{:?}", setup.terms);
+        }
+    }
+
+    /// `setup` with terms that are not the default, one set after the other.
+    fn other_terms(setup: Setup) -> [Setup; 1] {
+        let terms = setup.terms;
+        [Setup { terms: Terms { gas_inertia: false, ..terms }, ..setup }]
+    }
+
+    #[test]
+    fn mass_and_momentum_are_kept_whatever_terms_are_left_out() {
+        for setup in other_terms(setup(0.15, 0.3)) {
+            let mut flow =
+                TwoFluid::<f64, 3>::new(Grid::new([0.0125, 0.0125, 0.02], [10, 10, 16]), setup);
+            let start = flow.means();
+            for _ in 0..1500 {
+                flow.step(f64::INFINITY).unwrap();
+            }
+            let end = flow.means();
+            let mass = end.solids_fraction / start.solids_fraction - 1.0;
+            assert!(mass.abs() < 1e-13, "{:?}: {mass:e}", setup.terms);
+            for axis in 0..3 {
+                let drift = (end.momentum[axis] - start.momentum[axis]) / (1500.0 * 0.15 * 0.22);
+                assert!(drift.abs() < 1e-12, "{:?}: {drift:e} along {axis}", setup.terms);
+            }
+            assert!(end.solids_fraction_variance > 1e-3, "{:?}", setup.terms);
+        }
+    }
+
+    /// Gas almost alone that blows upward at 0.5 m/s and sways to the side as sin k z, k = 2π/1 cm:
+    /// amplitude of the swaying over the first, and how far it has turned \[rad\], after `time` \[s\].
+    fn swaying_gas(setup: Setup, time: f64) -> (f64, f64) {
+        let (cells, edge) = ([8, 64], 0.01);
+        let setup = Setup { solids_fraction: 1e-8, ..setup };
+        let mut flow = TwoFluid::<f64, 2>::new(Grid::new([edge / 8.0, edge], cells), setup);
+        let angle = |j: usize| std::f64::consts::TAU * (j as f64 + 0.5) / cells[1] as f64;
+        flow.gas[0].set(|[_, j]| 0.1 * angle(j).sin());
+        flow.gas[1].set(|_| 0.5);
+        flow.find_gas_speed();
+        while flow.time() < time {
+            flow.step(time).unwrap();
+        }
+        let (mut sine, mut cosine) = (0.0, 0.0);
+        for (j, row) in flow.gas[0].interior().enumerate() {
+            sine += row[0] * angle(j).sin() / 32.0;
+            cosine += row[0] * angle(j).cos() / 32.0;
+        }
+        (sine.hypot(cosine) / 0.1, (-cosine).atan2(sine))
+    }
+
+    #[test]
+    fn gas_carries_its_momentum_along_unless_that_is_left_out() {
+        let base = setup(0.15, 0.0);
+        let time = 4e-3;
+        let (amplitude, turned) = swaying_gas(base, time);
+        let expected = std::f64::consts::TAU * 0.5 * time / 0.01;
+        assert!((turned - expected).abs() < 0.02 && (amplitude - 1.0).abs() < 0.02);
+
+        let terms = Terms { gas_inertia: false, ..base.terms };
+        let (amplitude, turned) = swaying_gas(Setup { terms, ..base }, time);
+        // Drag by the solids, of 1e-8, takes 2e-6 in this time.
+        assert!(turned.abs() < 1e-9 && (amplitude - 1.0).abs() < 1e-5, "{amplitude} {turned}");
     }
 
     /// The most solids in a cell of a dense bed of coarse powder, in `steps` steps.

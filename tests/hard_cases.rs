@@ -1,7 +1,7 @@
 //! Cases that break solvers: very dilute, dense, elastic, dissipative, fine, coarse, odd boxes,
 //! a slab in vacuum. They must run, stay positive and keep below the densest packing.
 
-use favre::case::{DragChoice, FrictionChoice, RadialDistributionChoice};
+use favre::case::{DragChoice, FrictionChoice, RadialDistributionChoice, Terms};
 use favre::grid::Grid;
 use favre::laws::scales::{Gas, Powder};
 use favre::two_fluid::{Setup, TwoFluid};
@@ -57,6 +57,7 @@ fn flow(hard: &Hard) -> TwoFluid<f64, 2> {
         drag: DragChoice::WenYu,
         radial_distribution: RadialDistributionChoice::Princeton,
         friction: FrictionChoice::Barrier,
+        terms: Terms::default(),
         solids_fraction: hard.solids_fraction,
         perturbation: hard.perturbation,
         seed: 5,

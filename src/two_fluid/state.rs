@@ -110,7 +110,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         for field in scalars.into_iter().chain(&mut self.solids).chain(&mut self.gas) {
             read_field(field, from)?;
         }
-        self.gas_speed = self.largest_courant(&self.gas);
+        self.find_gas_speed();
         Ok(())
     }
 }

@@ -12,8 +12,9 @@
 use super::exchange::{self, Inertia};
 use super::granular;
 use super::stress::{self, around, pair, pairs, shear_lines};
-use super::transport::{self, Line, Share};
+use super::transport::{self, Line, Share, Wanted};
 use super::{MOST_GAS_STEPS, Medium};
+use crate::case::Terms;
 use crate::field::{Faces, Field, Layout, Lines, Ring, Row, Slabs, fill};
 use crate::real::Real;
 use crate::rows::{max_abs, per_axis};
@@ -30,7 +31,7 @@ pub(super) struct Before<'a, R, const D: usize> {
     /// g (ρ_mean - ρ_k) along the last axis, for solids and gas \[N/m³\].
     pub(super) buoyancy: [R; 2],
     pub(super) dt: R,
-    /// Sub-steps of the gas, 1 to [`MOST_GAS_STEPS`].
+    /// Sub-steps of the gas's momentum transport, up to [`MOST_GAS_STEPS`]; 0 if it carries none.
     pub(super) gas_steps: usize,
     /// dt/h along each axis \[s/m\].
     pub(super) courant: [R; D],
@@ -130,7 +131,8 @@ pub(super) struct Sweep<R, const D: usize> {
     carried_within: Vec<Ring<R, D>>,
     /// Momentum carried between slabs: of the solids, then of each sub-step of the gas.
     carried_on: Vec<[Ring<R, D>; D]>,
-    /// Velocity of the solids after their momentum was carried, then of the gas after each sub-step.
+    /// Velocity of the solids after their momentum was carried, and of the gas after each sub-step,
+    /// or where its momentum stayed.
     solids: [Ring<R, D>; D],
     gas: Vec<[Ring<R, D>; D]>,
     slip_squared: Ring<R, D>,
@@ -155,26 +157,27 @@ pub(super) struct Sweep<R, const D: usize> {
 }
 
 impl<R: Real, const D: usize> Sweep<R, D> {
-    /// For the slabs from `begin` to before `end` of a box.
-    pub(super) fn new(layout: Layout<D>, begin: usize, end: usize) -> Self {
+    /// For the slabs from `begin` to before `end` of a box; `terms` are those of the steps.
+    pub(super) fn new(layout: Layout<D>, terms: Terms, begin: usize, end: usize) -> Self {
         let ring = |slabs| Ring::new(layout, slabs);
         let rings = |slabs| std::array::from_fn(|_| Ring::new(layout, slabs));
         let several = |n, slabs| (0..n).map(|_| Ring::new(layout, slabs)).collect();
         let pairs = D * (D - 1) / 2;
+        let most_gas_steps = if terms.gas_inertia { MOST_GAS_STEPS } else { 0 };
         // The lengths follow from how far apart in the sweep a slab is made and last looked at; see
         // `run`.
         Self {
             slabs: [begin, end],
             most: ring(2),
             solids_flux: rings(8),
-            gas_flux: rings(8),
+            gas_flux: rings(if terms.gas_inertia { 8 } else { 1 }),
             heat_flux: rings(2),
             phi: ring(16),
             theta: ring(16),
             carried_within: several(D - 1, 1),
-            carried_on: (0..=MOST_GAS_STEPS).map(|_| rings(2)).collect(),
+            carried_on: (0..=most_gas_steps).map(|_| rings(2)).collect(),
             solids: rings(4),
-            gas: (0..MOST_GAS_STEPS).map(|_| rings(4)).collect(),
+            gas: (0..most_gas_steps.max(1)).map(|_| rings(4)).collect(),
             slip_squared: ring(4),
             drag: ring(4),
             radial_distribution: ring(4),
@@ -204,7 +207,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         after: &mut After<'_, R, D>,
     ) -> Fastest<R> {
         let [begin, end] = self.slabs.map(|slab| slab as isize);
-        let m = before.gas_steps as isize;
+        let m = before.last_gas_step() as isize + 1;
         let mut fastest = Fastest::<R>::NONE;
         // At time `now` each stage makes the slab that lies as far behind as its inputs ask for, if
         // that slab is within what the later stages look at: `below` slabs before the part and
@@ -222,6 +225,11 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             }
             if let Some(slab) = due(1, 2 * m + 2, 2 * m + 2) {
                 self.advect(before, after, slab);
+            }
+            if before.gas_steps == 0
+                && let Some(slab) = due(1, 3, 4)
+            {
+                self.gas_stays(before, slab);
             }
             for n in 0..before.gas_steps {
                 let left = 2 * (m - 1 - n as isize);
@@ -275,14 +283,23 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             for axis in 0..D {
                 let most = [self.most.row(row.near(axis, -1)), self.most.row(row)];
                 let (phi, theta) = (Line::at(*phi, row, axis), Line::at(*theta, row, axis));
-                let (us, ug) = (solids[axis].row(row), gas[axis].row(row));
+                let (us, ug, c) = (solids[axis].row(row), gas[axis].row(row), courant[axis]);
                 fill!(
                     [
                         fs = self.solids_flux[axis].line(row),
                         fg = self.gas_flux[axis].line(row),
                         ft = self.heat_flux[axis].line(row),
                     ],
-                    transport::flux_row(fs, fg, ft, phi, theta, us, ug, most, courant[axis])
+                    match before.gas_steps {
+                        0 => {
+                            let wanted = Wanted::<false>;
+                            transport::flux_row(fs, fg, ft, phi, theta, us, ug, most, c, wanted)
+                        }
+                        _ => {
+                            let wanted = Wanted::<true>;
+                            transport::flux_row(fs, fg, ft, phi, theta, us, ug, most, c, wanted)
+                        }
+                    }
                 );
             }
         }
@@ -313,6 +330,19 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             courant: before.courant,
         };
         momentum.carry(before, within, &mut carried_on[0], solids, slab, before_first);
+    }
+
+    /// Momentum of a gas that carries none along.
+    fn gas_stays(&mut self, before: &Before<'_, R, D>, slab: isize) {
+        for row in before.rows(slab) {
+            for axis in 0..D {
+                let below = row.near(axis, -1);
+                let (old, new) = (before.phi, &self.phi);
+                let fractions = [old.row(below), old.row(row), new.row(below), new.row(row)];
+                let u = before.gas[axis].row(row);
+                fill!([gas = self.gas[0][axis].line(row)], transport::stay_row(gas, u, fractions));
+            }
+        }
     }
 
     /// Momentum of the gas by its fluxes, in sub-step `n`.
@@ -346,7 +376,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         after: &mut After<'_, R, D>,
         slab: isize,
     ) -> R {
-        let gas = &self.gas[before.gas_steps - 1];
+        let gas = &self.gas[before.last_gas_step()];
         let mut fastest = R::ZERO;
         for row in before.rows(slab) {
             let velocities: [[&[R]; 4]; D] = per_axis!(D, |a| {
@@ -502,7 +532,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
     /// All forces but the pressure increment, and the exchange of momentum by drag.
     fn forces(&mut self, before: &Before<'_, R, D>, after: &mut After<'_, R, D>, slab: isize) {
         let inertia = Inertia::new(before.medium, before.dt);
-        let gas = &self.gas[before.gas_steps - 1];
+        let gas = &self.gas[before.last_gas_step()];
         for row in before.rows(slab) {
             for axis in 0..D {
                 let below = row.near(axis, -1);
@@ -549,6 +579,11 @@ impl<R: Real, const D: usize> Sweep<R, D> {
 }
 
 impl<R: Real, const D: usize> Before<'_, R, D> {
+    /// The last sub-step of the gas, or 0 for where its momentum stays.
+    fn last_gas_step(&self) -> usize {
+        self.gas_steps.saturating_sub(1)
+    }
+
     /// The rows of a slab.
     fn rows(&self, slab: isize) -> impl Iterator<Item = Row<D>> + use<R, D> {
         let layout = self.layout;

@@ -53,11 +53,16 @@ simd! {
     }
 }
 
+/// Whether the fluxes of the gas are wanted: a kernel for each answer.
+#[derive(Clone, Copy)]
+pub(super) struct Wanted<const GAS: bool>;
+
 simd! {
     /// Volume fluxes through the lower faces of a row along one axis \[m/s\]: of solids, of gas, and of
     /// solids times temperature. The gas takes what the solids leave of the total, which the
-    /// pressure has made free of divergence. `most` is that of [`most_row`] on either side.
-    pub(super) fn flux_row[R: Real](
+    /// pressure has made free of divergence. `most` is that of [`most_row`] on either side. `fg` is
+    /// made only if `wanted`.
+    pub(super) fn flux_row[R: Real, const GAS: bool](
         fs: &mut [R],
         fg: &mut [R],
         ft: &mut [R],
@@ -67,6 +72,7 @@ simd! {
         ug: &[R],
         most: [&[R]; 2],
         courant: R,
+        _wanted: Wanted<GAS>,
     ) {
         let n = fs.len();
         let (phi, theta, most) = (phi.cut(n), theta.cut(n), cut(most, n));
@@ -84,7 +90,9 @@ simd! {
             let warmest = bound * R::select(forward, theta.0[1][i], theta.0[2][i]);
             let heat = (solids * theta.upwind(us[i], crossing, i)).min(warmest);
             fs[i] = us[i] * solids;
-            fg[i] = total - us[i] * solids;
+            if GAS {
+                fg[i] = total - us[i] * solids;
+            }
             ft[i] = us[i] * heat;
         }
     }
@@ -137,6 +145,20 @@ impl<R: Real> Share<R> {
     /// The gas's share a part `t` through the step.
     pub(super) fn gas(t: f64) -> Self {
         Self { constant: R::ONE, before: R::of(t - 1.0), after: R::of(-t) }
+    }
+}
+
+simd! {
+    /// One velocity component of a gas that carries no momentum along: what momentum there is at a
+    /// face stays there, (1-φ') u' = (1-φ) u. `fractions` are those of [`momentum_row`].
+    pub(super) fn stay_row[R: Real](new: &mut [R], u: &[R], fractions: [&[R]; 4]) {
+        let n = new.len();
+        let u = &u[..n];
+        let [below, here, below_new, here_new] = cut(fractions, n);
+        let two = R::of(2.0);
+        for i in 0..n {
+            new[i] = u[i] * (two - (below[i] + here[i])) / (two - (below_new[i] + here_new[i]));
+        }
     }
 }
 
