@@ -23,6 +23,7 @@ Examples:
   favre run my-powder.toml --duration '50 u_t/g' --out trial
   favre stability my-powder.toml            what grid and box its instability asks for
   favre bench --quick                       how fast this machine is
+  favre verify --quick                      whether the simulator solves its equations
 
 Exit status: 0 done, 1 failed while running, 2 misuse, 130 interrupted.";
 
@@ -63,6 +64,10 @@ pub enum Command {
     Stability(Stability),
     /// Measure how fast this machine runs the kernels
     Bench(Bench),
+    /// Check that the simulator solves its equations
+    Verify(Verify),
+    /// Run cases that break solvers and print how each went
+    HardCases(HardCases),
 }
 
 /// `favre run`.
@@ -131,10 +136,44 @@ fn minutes(text: &str) -> Result<f64, String> {
 /// `favre bench`.
 #[derive(Args, Debug)]
 pub struct Bench {
-    /// Fewer rounds
+    /// One size and fewer rounds; with --error a small box and a short time, only to see it work
     #[arg(long)]
     pub quick: bool,
-    /// Print the times as JSON
+    /// Speed against error instead: grids, steps, precisions, tolerances, physics; ten minutes
+    #[arg(long)]
+    pub error: bool,
+    /// Folder for the table and the figures of --error [default: favre-out/bench-error]
+    #[arg(long, value_name = "DIR", requires = "error")]
+    pub out: Option<PathBuf>,
+    /// Replace earlier results of --error, once the new ones are complete
+    #[arg(long, requires = "error")]
+    pub force: bool,
+    /// Print the results as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `favre hard-cases`.
+#[derive(Args, Debug)]
+pub struct HardCases {
+    /// Fewer cells and 20 u_t/g instead of 60
+    #[arg(long)]
+    pub quick: bool,
+    /// Print the table as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `favre verify`.
+#[derive(Args, Debug)]
+pub struct Verify {
+    /// Only these checks
+    #[arg(long, value_name = "NAME", num_args = 1..)]
+    pub only: Vec<String>,
+    /// What takes less than a minute: fewer and coarser grids
+    #[arg(long)]
+    pub quick: bool,
+    /// Print the table as JSON
     #[arg(long)]
     pub json: bool,
 }

@@ -1,4 +1,4 @@
-//! [`Field`]: one number per cell; [`Faces`]: one per face of each axis; [`Ring`]: the last few
+//! [`Field`]: one number per cell; [`Faces`]: one per face of each axis; `Ring`: the last few
 //! slabs of a field that a sweep leaves behind. All periodic.
 
 use crate::grid::Grid;
@@ -22,10 +22,13 @@ pub struct Layout<const D: usize> {
 }
 
 /// A row of cells along the first axis: how far it is shifted along that axis, and its index along
-/// each of the others, which the boundary may lie on the way to.
+/// each of the others, which the boundary may lie on the way to. Or several rows of a slab that
+/// follow one another, with what lies between them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row<const D: usize> {
     at: [isize; D],
+    /// How many rows.
+    count: usize,
 }
 
 impl<const D: usize> Row<D> {
@@ -74,7 +77,7 @@ impl<const D: usize> Layout<D> {
             at[axis] = (row % self.cells[axis]) as isize;
             row /= self.cells[axis];
         }
-        Row { at }
+        Row { at, count: 1 }
     }
 
     /// The number of a row that is not shifted.
@@ -82,14 +85,41 @@ impl<const D: usize> Layout<D> {
         (1..D).rev().fold(0, |number, axis| number * self.cells[axis] + row.at[axis] as usize)
     }
 
-    /// Row number `row` of the slab `slab`, which may lie beyond the boundary.
+    /// The rows of the slab `slab`, which may lie beyond the boundary, as few pieces as can be: rows
+    /// whose neighbours lie as they do in memory are one. A kernel does well on long rows.
     #[inline(always)]
-    pub(crate) fn row_of_slab(&self, slab: isize, row: usize) -> Row<D> {
-        // The rows of a slab are counted along the second axis.
-        let mut at = [0; D];
-        at[1] = row as isize;
-        at[D - 1] = slab;
-        Row { at }
+    pub(crate) fn pieces(&self, slab: isize) -> impl Iterator<Item = Row<D>> + use<D> {
+        let rows = self.rows_of_slab();
+        let near = HALO.min(rows);
+        let inner = rows.saturating_sub(2 * near);
+        let mut pieces = [Row { at: [0; D], count: 1 }; 2 * HALO + 1];
+        let mut filled = 0;
+        let mut row = 0;
+        while row < rows {
+            let piece = &mut pieces[filled];
+            // The rows of a slab are counted along the second axis.
+            piece.at[1] = row as isize;
+            piece.at[D - 1] = slab;
+            piece.count = if row == near && inner > 0 { inner } else { 1 };
+            row += piece.count;
+            filled += 1;
+        }
+        pieces.into_iter().take(filled)
+    }
+
+    /// Elements of a row, or from the first of several to the last.
+    #[inline(always)]
+    fn extent(&self, row: Row<D>) -> usize {
+        self.cells[0] + (row.count - 1) * self.stride[1]
+    }
+
+    /// The rows that make up the cells of a [`Row`].
+    pub(crate) fn each<'a, R>(
+        &self,
+        cells: &'a [R],
+    ) -> impl Iterator<Item = &'a [R]> + use<'a, R, D> {
+        let n = self.cells[0];
+        cells.chunks(self.stride[1]).map(move |row| &row[..n])
     }
 
     /// Elements from the first cell of one slab to that of the next.
@@ -129,15 +159,35 @@ impl<const D: usize> Layout<D> {
         begin - HALO as isize..begin + (self.cells[0] + HALO) as isize
     }
 
-    /// Elements of a row with its halo.
-    pub(crate) fn row_with_halo_len(&self) -> usize {
-        self.cells[0] + 2 * HALO
+    /// Elements of the rows of a slab with their halos.
+    pub(crate) fn most_elements(&self) -> usize {
+        self.cells[0] + self.rows_of_slab() * self.stride[1] + 2 * HALO
     }
 
-    /// The span of a row with its halo, from the offset of its first cell.
-    #[inline]
-    pub(crate) fn row_with_halo(&self, offset: usize) -> std::ops::Range<usize> {
-        offset - HALO..offset + self.cells[0] + HALO
+    /// Copies the last and first cells of rows, given with their halos, into the halos.
+    #[inline(always)]
+    pub(crate) fn wrap<R: Copy>(&self, lines: &mut [R]) {
+        let n = self.cells[0];
+        let wrap = |line: &mut [R]| {
+            for i in 0..HALO {
+                // A remainder costs more than the rest of this.
+                let shift = if n >= HALO { i } else { i % n };
+                line[HALO - 1 - i] = line[HALO + n - 1 - shift];
+                line[HALO + n + i] = line[HALO + shift];
+            }
+        };
+        if D == 2 {
+            // One row has no need of a division.
+            wrap(lines);
+        } else {
+            lines.chunks_mut(self.stride[1]).for_each(wrap);
+        }
+    }
+
+    /// The span of a row of `extent` elements with its halo, from the offset of its first cell.
+    #[inline(always)]
+    fn with_halo(offset: usize, extent: usize) -> std::ops::Range<usize> {
+        offset - HALO..offset + extent + HALO
     }
 }
 
@@ -183,7 +233,7 @@ impl<R: Real, const D: usize> Field<R, D> {
     #[inline(always)]
     pub fn row(&self, row: Row<D>) -> &[R] {
         let at = self.origin + self.layout.offset(row);
-        &self.data[at..at + self.layout.cells[0]]
+        &self.data[at..at + self.layout.extent(row)]
     }
 
     /// A row, to be written; [`Field::wrap`] must follow before its neighbours are read.
@@ -220,7 +270,8 @@ impl<R: Real, const D: usize> Field<R, D> {
     pub fn wrap(&mut self) {
         for row in 0..self.layout.rows() {
             let offset = self.origin + self.layout.offset(self.layout.row(row));
-            wrap_line(&mut self.data[self.layout.row_with_halo(offset)]);
+            let line = Layout::<D>::with_halo(offset, self.layout.cells[0]);
+            self.layout.wrap(&mut self.data[line]);
         }
     }
 
@@ -278,9 +329,9 @@ impl<R: Real, const D: usize> Slabs<'_, R, D> {
         let slabs = self.first as isize..(self.first + self.data.len() / slab) as isize;
         if slabs.contains(&row.slab()) {
             let at = self.layout.offset(row) - self.first * slab + PAD / 2;
-            &mut self.data[self.layout.row_with_halo(at)]
+            &mut self.data[Layout::<D>::with_halo(at, self.layout.extent(row))]
         } else {
-            spare
+            &mut spare[..self.layout.extent(row) + 2 * HALO]
         }
     }
 }
@@ -304,21 +355,21 @@ impl<R: Real, const D: usize> Ring<R, D> {
     pub(crate) fn line(&mut self, row: Row<D>) -> &mut [R] {
         let Field { layout, data, origin } = &mut self.0;
         let at = *origin + layout.offset_in_ring(row);
-        &mut data[layout.row_with_halo(at)]
+        &mut data[Layout::<D>::with_halo(at, layout.extent(row))]
     }
 
     /// As [`Field::row`].
     #[inline(always)]
     pub(crate) fn row(&self, row: Row<D>) -> &[R] {
         let at = self.0.origin + self.0.layout.offset_in_ring(row);
-        &self.0.data[at..at + self.0.layout.cells[0]]
+        &self.0.data[at..at + self.0.layout.extent(row)]
     }
 
     /// A row and its halo.
     #[inline(always)]
     pub(crate) fn whole(&self, row: Row<D>) -> &[R] {
         let at = self.0.origin + self.0.layout.offset_in_ring(row);
-        &self.0.data[self.0.layout.row_with_halo(at)]
+        &self.0.data[Layout::<D>::with_halo(at, self.0.layout.extent(row))]
     }
 }
 
@@ -343,38 +394,26 @@ impl<R: Real, const D: usize> Lines<R, D> for Ring<R, D> {
 }
 
 /// Does `body` with the cells of rows given with their halos, and makes these periodic:
-/// `fill!(\[a = lines, b = others\], kernel(a, b))`. A macro, because closures over arrays of rows are
-/// not inlined, and a kernel's row is short.
+/// `fill!(layout, \[a = lines, b = others\], kernel(a, b))`. A macro, because closures over arrays of
+/// rows are not inlined, and a kernel's row is short.
 macro_rules! fill {
-    ([$($name:ident = $line:expr),+ $(,)?], $body:expr) => {{
+    ($layout:expr, [$($name:ident = $line:expr),+ $(,)?], $body:expr) => {{
         $(let $name = $line;)+
         let result = {
             $(let $name = $crate::field::cells_of($name);)+
             $body
         };
-        $($crate::field::wrap_line($name);)+
+        $($layout.wrap($name);)+
         result
     }};
 }
 pub(crate) use fill;
 
-/// The cells of a row given with its halo.
+/// The cells of rows given with their halos.
 #[inline(always)]
 pub(crate) fn cells_of<R>(line: &mut [R]) -> &mut [R] {
     let end = line.len() - HALO;
     &mut line[HALO..end]
-}
-
-/// Copies the last and first cells of a row given with its halo into the halo.
-#[inline(always)]
-pub(crate) fn wrap_line<R: Copy>(line: &mut [R]) {
-    let n = line.len() - 2 * HALO;
-    for i in 0..HALO {
-        // A remainder costs more than the rest of this.
-        let shift = if n >= HALO { i } else { i % n };
-        line[HALO - 1 - i] = line[HALO + n - 1 - shift];
-        line[HALO + n + i] = line[HALO + shift];
-    }
 }
 
 impl<const D: usize> From<&Grid<D>> for Layout<D> {

@@ -3,6 +3,7 @@
 //! Colours are those of Okabe & Ito (2008) for lines and viridis for fields, both told apart by
 //! colour-blind readers.
 
+use crate::bench::error::{Group, QUANTITIES, Report};
 use crate::fit::ReferenceLength;
 use crate::forms::Marker;
 use crate::model::Model;
@@ -291,6 +292,58 @@ pub fn stability_figure(found: &Stability, cell: f64) -> Figure {
         .with_legend_entries(entries)
         .with_legend_position(LegendPosition::OutsideRightTop)
         .with_legend_box(false);
+    Figure { scene: render_multiple(plots, layout) }
+}
+
+/// Quantity `place` of [`QUANTITIES`] against what a simulated second costs: points with 95 %
+/// intervals, one colour for each thing that is varied; the interval of the finest grid shaded.
+pub fn error_figure(report: &Report, place: usize) -> Figure {
+    use Group::{Grid, Physics, Precision, Step, Tolerance};
+    let mut plots = Vec::new();
+    let mut entries = Vec::new();
+    for (i, group) in [Grid, Step, Precision, Tolerance, Physics].into_iter().enumerate() {
+        let points: Vec<_> = report
+            .points
+            .iter()
+            .filter(|p| p.group == group && p.found[place].half_width_95.is_finite())
+            .collect();
+        let colour = COLOURS[i % COLOURS.len()];
+        plots.push(Plot::Scatter(
+            ScatterPlot::new()
+                .with_data(points.iter().map(|p| (p.per_simulated_second, p.found[place].value)))
+                .with_y_err(points.iter().map(|p| p.found[place].half_width_95))
+                .with_color(colour)
+                .with_size(4.0),
+        ));
+        entries.push(LegendEntry {
+            label: group.to_string(),
+            color: colour.into(),
+            shape: LegendShape::Circle,
+            dasharray: None,
+        });
+    }
+    let costs = report.points.iter().map(|p| p.per_simulated_second);
+    let (low, high) = costs.fold((f64::INFINITY, 0.0f64), |(a, b), x| (a.min(x), b.max(x)));
+    let finest = report.finest().found[place];
+    let mut layout = frame(Layout::auto_from_plots(&plots), 800.0, 500.0)
+        .with_log_x()
+        .with_x_label("core seconds per simulated second")
+        .with_y_label(QUANTITIES[place])
+        .with_x_axis_min(low / 1.5)
+        .with_x_axis_max(high * 1.5)
+        .with_reference_line(
+            ReferenceLine::horizontal(finest.value).with_color("#444444").with_label("finest grid"),
+        )
+        .with_legend_entries(entries)
+        .with_legend_position(LegendPosition::OutsideRightTop)
+        .with_legend_box(false);
+    if finest.half_width_95.is_finite() {
+        let [low, high] =
+            [finest.value - finest.half_width_95, finest.value + finest.half_width_95];
+        layout = layout.with_shaded_region(
+            ShadedRegion::horizontal(low, high).with_color("#888888").with_opacity(0.15),
+        );
+    }
     Figure { scene: render_multiple(plots, layout) }
 }
 

@@ -14,8 +14,10 @@ use clap::Parser;
 use favre::bench;
 use favre::case::{Case, DEFAULT};
 use favre::checkpoint::Checkpoints;
+use favre::hard;
 use favre::output::Output;
 use favre::pipeline::{self, RunError, RunOptions};
+use favre::verify::{self, Effort};
 
 use cli::{Cli, Command};
 use interrupt::{INTERRUPTED, Interrupt};
@@ -46,6 +48,8 @@ fn main() -> ExitCode {
         Some(Command::Run(args)) => run(&args),
         Some(Command::Stability(args)) => stability(&args),
         Some(Command::Bench(args)) => bench(&args),
+        Some(Command::Verify(args)) => verify(&args),
+        Some(Command::HardCases(args)) => hard_cases(&args),
         None => Err(Failure::misuse(cli::WELCOME)),
     };
     match result {
@@ -167,8 +171,49 @@ fn stability(args: &cli::Stability) -> Result<(), Failure> {
 }
 
 fn bench(args: &cli::Bench) -> Result<(), Failure> {
-    let report = bench::measure(args.quick).map_err(Failure::failed)?;
+    if !args.error {
+        let report = bench::measure(args.quick).map_err(Failure::failed)?;
+        return if args.json { print_json(&report) } else { print(&report) };
+    }
+    let dir = args.out.as_deref().unwrap_or(Path::new("favre-out/bench-error"));
+    let output = Output::create(dir, args.force).map_err(Failure::misuse)?;
+    say(bench::error::HEADER);
+    let report = pipeline::bench_error(args.quick, &output, |point| say(point));
+    let report = report.map_err(Failure::failed)?;
+    let dir = output.commit().map_err(Failure::failed)?;
+    say(format_args!("favre: table and figures are in {}", dir.display()));
     if args.json { print_json(&report) } else { print(&report) }
+}
+
+fn verify(args: &cli::Verify) -> Result<(), Failure> {
+    let effort = if args.quick { Effort::Quick } else { Effort::Full };
+    let progress = |name: &str| say(format_args!("favre: checking: {name}"));
+    let report = verify::verify(&args.only, effort, progress).map_err(Failure::misuse)?;
+    if args.json { print_json(&report) } else { print(&report) }?;
+    let failed = report.failed();
+    let message = || Failure::failed(format!("{failed} of {} do not pass", report.rows.len()));
+    if failed == 0 { Ok(()) } else { Err(message()) }
+}
+
+fn hard_cases(args: &cli::HardCases) -> Result<(), Failure> {
+    // The table takes minutes: its rows are shown as they come.
+    if !args.json {
+        write(format!("{}\n", hard::HEADER))?;
+    }
+    let mut written = Ok(());
+    let table = hard::run(args.quick, |row| {
+        if !args.json && written.is_ok() {
+            written = write(format!("{row}\n"));
+        }
+    });
+    written?;
+    if args.json {
+        print_json(&table)?;
+    }
+    match table.failed() {
+        0 => Ok(()),
+        failed => Err(Failure::failed(format!("{failed} of {} cases fail", table.rows.len()))),
+    }
 }
 
 /// An error and its causes on one line.

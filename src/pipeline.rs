@@ -1,5 +1,6 @@
 //! [`run`]: from a case to the files of a run, stage by stage; [`stability()`] likewise.
 
+use crate::bench;
 use crate::case::{Case, Precision};
 use crate::checkpoint::{CheckpointError, Checkpoints};
 use crate::figure::{self, FigureError};
@@ -67,6 +68,9 @@ pub enum RunError {
     /// There is no linear theory of the case.
     #[error(transparent)]
     Stability(#[from] StabilityError),
+    /// Nothing could be measured.
+    #[error(transparent)]
+    Bench(#[from] bench::BenchError),
     /// Its files cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
@@ -126,6 +130,27 @@ pub fn stability(case: &Case, output: &Output) -> Result<Stability, RunError> {
     output.write("stability.csv", |file| found.write_csv(file).map_err(io::Error::other))?;
     let drawing = figure::stability_figure(&found, cell);
     output.write("stability.svg", |file| file.write_all(drawing.svg().as_bytes()))?;
+    output.write(RUN_FILE, |file| Ok(serde_json::to_writer_pretty(file, &found)?))?;
+    Ok(found)
+}
+
+/// Speed against error in `output`, which the caller commits: error.csv, a figure per quantity and
+/// run.json. `watch` is given each point as it is found.
+///
+/// # Errors
+/// A simulation fails, or a file cannot be written.
+pub fn bench_error(
+    quick: bool,
+    output: &Output,
+    watch: impl FnMut(&bench::error::Point),
+) -> Result<bench::error::Report, RunError> {
+    let found = bench::error::measure(quick, watch)?;
+    output.write("error.csv", |file| found.write_csv(file).map_err(io::Error::other))?;
+    for (place, file) in [(0, "slip"), (1, "variance"), (3, "drag_correction")] {
+        let drawing = figure::error_figure(&found, place);
+        let name = format!("error_{file}.svg");
+        output.write(&name, |file| file.write_all(drawing.svg().as_bytes()))?;
+    }
     output.write(RUN_FILE, |file| Ok(serde_json::to_writer_pretty(file, &found)?))?;
     Ok(found)
 }

@@ -8,7 +8,7 @@
 //! Reductions follow one fixed tree over the rows, so results do not depend on the number of
 //! threads.
 
-use crate::field::{Field, Layout, Row, cells_of, wrap_line};
+use crate::field::{Field, Layout, Row, cells_of};
 use crate::real::Real;
 use std::sync::atomic::{AtomicU8, Ordering};
 
@@ -99,6 +99,17 @@ macro_rules! simd {
     };
 }
 pub(crate) use simd;
+
+/// What `work` returns, done with `threads` threads for the rows of parallel fields.
+///
+/// # Errors
+/// The threads cannot be started.
+pub fn on_threads<T: Send>(
+    threads: usize,
+    work: impl FnOnce() -> T + Send,
+) -> Result<T, rayon::ThreadPoolBuildError> {
+    Ok(rayon::ThreadPoolBuilder::new().num_threads(threads).build()?.install(work))
+}
 
 /// The rows of a layout, and how they are shared out.
 #[derive(Clone, Copy, Debug)]
@@ -203,7 +214,7 @@ impl<const D: usize> Rows<D> {
         }
         let result = kernel(row, cells);
         for line in lines {
-            wrap_line(line);
+            self.layout.wrap(line);
         }
         result
     }

@@ -28,7 +28,8 @@ pub struct Signals {
 }
 
 impl Signals {
-    fn push<const D: usize>(&mut self, time: f64, means: &Means<D>) {
+    /// Adds the `means` at `time` \[s\].
+    pub fn push<const D: usize>(&mut self, time: f64, means: &Means<D>) {
         self.time.push(time);
         self.slip.push(means.slip);
         self.particle_slip.push(means.particle_slip);
@@ -98,10 +99,7 @@ pub enum SimulateError {
         time: f64,
     },
     /// A step failed.
-    #[error(
-        "the box of mean solids fraction {solids_fraction} failed; a finer or larger grid or \
-         another seed may do"
-    )]
+    #[error("the box of mean solids fraction {solids_fraction} failed")]
     Step {
         /// Mean solids fraction of the box.
         solids_fraction: f64,
@@ -163,6 +161,24 @@ pub fn samples(case: &Case) -> u64 {
     (case.run.duration / case.run.sample_interval).round().max(1.0) as u64
 }
 
+/// What `case` asks of the two-fluid model in its box of mean solids fraction `solids_fraction`.
+pub fn setup(case: &Case, solids_fraction: f64, parallel: bool) -> Setup {
+    let Case { powder, gas, physics, run, .. } = case;
+    Setup {
+        powder: *powder,
+        gas: *gas,
+        gravity: physics.gravity,
+        drag: physics.drag,
+        radial_distribution: physics.radial_distribution,
+        friction: physics.friction,
+        terms: physics.terms,
+        solids_fraction,
+        perturbation: run.perturbation,
+        seed: run.seed,
+        parallel,
+    }
+}
+
 /// Simulates the box of mean solids fraction `solids_fraction`, filtering as it goes. `parallel`
 /// lets a step use the threads of the current pool. `watch` is called after each sample with the
 /// signals so far and the number of steps that this call has done.
@@ -208,22 +224,7 @@ pub fn simulate_from<R: Real, const D: usize>(
     );
     assert_eq!(domain.size.len(), D, "a case of another dimension");
     let scales = Scales::new(powder, gas, physics.gravity);
-    let mut flow = TwoFluid::<R, D>::new(
-        grid,
-        Setup {
-            powder: *powder,
-            gas: *gas,
-            gravity: physics.gravity,
-            drag: physics.drag,
-            radial_distribution: physics.radial_distribution,
-            friction: physics.friction,
-            terms: physics.terms,
-            solids_fraction,
-            perturbation: run.perturbation,
-            seed: run.seed,
-            parallel,
-        },
-    );
+    let mut flow = TwoFluid::<R, D>::new(grid, setup(case, solids_fraction, parallel));
     let slip_bin = filter.markers.contains(&MarkerChoice::Slip).then_some(filter.slip_bin);
     let bins = Bins::new(filter.solids_fraction_bin, powder.max_packing, slip_bin);
     let law = physics.drag.law(gas, powder);

@@ -20,8 +20,11 @@
 //! Momentum of the mixture is conserved to round-off, because every exchange is one number with
 //! two signs.
 
+mod clock;
 mod exchange;
+mod failure;
 mod granular;
+mod imposed;
 mod state;
 mod stress;
 mod sweep;
@@ -40,8 +43,13 @@ use crate::laws::scales::{Gas, Powder, homogeneous_slip};
 use crate::poisson::Poisson;
 use crate::real::Real;
 use crate::rows::{Rows, join, per_axis, threads};
+pub use clock::STAGES;
+use clock::{Clock, Stage};
 use exchange::Inertia;
+pub use failure::{Place, StepError};
 use granular::{Contact, ContactRow, DragRow};
+pub use imposed::Quantity;
+use imposed::Sources;
 use rand::{RngExt, SeedableRng};
 pub use state::StateError;
 use sweep::{After, Before, Fastest, Sweep};
@@ -73,9 +81,10 @@ const NEARLY_EMPTY: f64 = 0.1;
 /// Growth of the time step from one step to the next.
 const GROWTH: f64 = 1.1;
 
-/// First time step, and the largest ever, in u_t/g.
+/// First time step, the largest ever, and the one below which a run would not end, in u_t/g.
 const FIRST_STEP: f64 = 1e-3;
 const LONGEST_STEP: f64 = 0.05;
+const SHORTEST_STEP: f64 = 1e-6;
 
 /// Remaining divergence of the total volume flux, times dt, that ends the pressure iteration.
 const TOLERANCE: f64 = 1e-3;
@@ -155,38 +164,6 @@ pub struct StepReport {
     pub volume_residual: f64,
 }
 
-/// A step that failed; the state is of no use any more.
-#[derive(Clone, Debug, thiserror::Error)]
-pub enum StepError {
-    /// The pressure iteration did not converge.
-    #[error(
-        "the gas pressure did not converge at t = {time:.6} s: after {iterations} iterations \
-         {residual:.1e} of a cell's volume is unaccounted for (dt = {dt:.2e} s, limited by {limit:?})"
-    )]
-    Pressure {
-        /// Simulated time \[s\].
-        time: f64,
-        /// Iterations done.
-        iterations: usize,
-        /// Remaining divergence times dt.
-        residual: f64,
-        /// Time step \[s\].
-        dt: f64,
-        /// What limited the step.
-        limit: Limit,
-    },
-    /// A field is no longer finite.
-    #[error("the fields are not finite at t = {time:.6} s (dt = {dt:.2e} s, limited by {limit:?})")]
-    NotFinite {
-        /// Simulated time \[s\].
-        time: f64,
-        /// Time step \[s\].
-        dt: f64,
-        /// What limited the step.
-        limit: Limit,
-    },
-}
-
 /// Means over the box at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Means<const D: usize> {
@@ -218,8 +195,12 @@ pub struct TwoFluid<R, const D: usize> {
     next_dt: (f64, Limit),
     /// Largest Σ |u_a|/h_a of the gas in a cell \[1/s\].
     gas_speed: f64,
+    /// What the parts of the steps cost, if [`TwoFluid::with_clock`] asked.
+    clock: Option<Clock>,
     /// [`TOLERANCE`], or what [`TwoFluid::with_tolerance`] set.
     tolerance: f64,
+    /// What [`TwoFluid::set_sources`] set.
+    sources: Option<Sources<R, D>>,
 
     phi: Field<R, D>,
     theta: Field<R, D>,
@@ -314,7 +295,9 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             steps: 0,
             next_dt: (FIRST_STEP * time_scale, Limit::Growth),
             gas_speed: slip / grid.spacing[D - 1],
+            clock: None,
             tolerance: TOLERANCE,
+            sources: None,
             phi,
             theta,
             pressure: zeros(),
@@ -340,16 +323,29 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         self
     }
 
+    /// With a clock, for [`TwoFluid::stage_seconds`].
+    #[must_use]
+    pub fn with_clock(mut self) -> Self {
+        self.clock = Some(Clock::new());
+        self
+    }
+
+    /// Seconds that each of [`STAGES`] took in all steps since [`TwoFluid::with_clock`].
+    pub fn stage_seconds(&self) -> Option<[f64; STAGES.len()]> {
+        self.clock.as_ref().map(|clock| clock.seconds)
+    }
+
     /// Advances by one time step towards the time `until` \[s\], chosen by stability and such that
     /// equal steps end there.
     ///
     /// # Errors
-    /// When the pressure does not converge or a field is no longer finite.
+    /// When the pressure does not converge, a field is no longer finite, or the time step collapses.
     ///
     /// # Panics
     /// When `until` is not in the future.
     pub fn step(&mut self, until: f64) -> Result<StepReport, StepError> {
         assert!(until > self.time, "a step from {} s to {until} s", self.time);
+        Clock::start(&mut self.clock);
         let rows = self.rows;
         let (longest, limit) = self.next_dt;
         let remaining = until - self.time;
@@ -379,6 +375,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             inverse_spacing,
             most_diffusivity: R::of(DIFFUSION / (dt * inverse_square)),
             nearly_empty: R::of(NEARLY_EMPTY * self.setup.solids_fraction),
+            sources: self.sources.as_ref(),
         };
         let after = After {
             phi: self.phi_new.slabs(),
@@ -395,6 +392,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         std::mem::swap(&mut self.solids, &mut self.solids_new);
         std::mem::swap(&mut self.gas, &mut self.gas_new);
 
+        Clock::lap(&mut self.clock, Stage::Sweep);
+
         self.poisson.prepare();
         // The increment starts from that of the step before, which saves a third of the iterations.
         let solve = self.poisson.solve(
@@ -403,6 +402,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             self.tolerance / dt,
             MOST_ITERATIONS,
         );
+        Clock::lap(&mut self.clock, Stage::Pressure);
+
         let inertia = Inertia::new(&self.medium, R::of(dt));
         let (phi, drag, increment) = (&self.phi, &self.drag, &self.increment);
         for axis in 0..D {
@@ -431,18 +432,21 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             iterations: solve.iterations,
             volume_residual: solve.residual * dt,
         };
-        let StepReport { iterations, volume_residual: residual, .. } = report;
-        let time = self.time;
         let (sound, diffusivity) = (fastest.sound_squared.f64(), fastest.diffusivity.f64());
-        if !(residual.is_finite() && sound.is_finite()) {
-            return Err(StepError::NotFinite { time, dt, limit });
+        let finite = report.volume_residual.is_finite() && sound.is_finite();
+        if !(finite && diffusivity.is_finite() && self.is_finite()) {
+            return Err(self.not_finite(&report));
         }
         // Round-off stops single precision above the tolerance; that much is no failure.
-        if residual > 100.0 * TOLERANCE {
-            return Err(StepError::Pressure { time, iterations, residual, dt, limit });
+        if report.volume_residual > 100.0 * TOLERANCE {
+            return Err(self.not_converged(&report));
         }
         self.find_gas_speed();
         self.next_dt = self.choose_step(longest, sound, diffusivity, inverse_square);
+        if self.next_dt.0 < SHORTEST_STEP * self.time_scale() {
+            return Err(self.collapsed());
+        }
+        Clock::lap(&mut self.clock, Stage::Correction);
         Ok(report)
     }
 
@@ -454,18 +458,13 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         diffusivity: f64,
         inverse_square: f64,
     ) -> (f64, Limit) {
-        let scales = crate::laws::scales::Scales::new(
-            &self.setup.powder,
-            &self.setup.gas,
-            self.setup.gravity,
-        );
         let tiny = 1e-300;
         [
             (COURANT / (self.largest_courant(&self.solids) + tiny), Limit::Solids),
             (MOST_GAS_STEPS as f64 * COURANT / (self.gas_speed + tiny), Limit::Gas),
             (SOUND_COURANT / (sound_squared * inverse_square + tiny).sqrt(), Limit::Sound),
             (DIFFUSION / (diffusivity * inverse_square + tiny), Limit::Diffusion),
-            (LONGEST_STEP * scales.time(), Limit::Longest),
+            (LONGEST_STEP * self.time_scale(), Limit::Longest),
         ]
         .into_iter()
         .fold(
@@ -478,6 +477,12 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
     fn find_gas_speed(&mut self) {
         self.gas_speed =
             if self.setup.terms.gas_inertia { self.largest_courant(&self.gas) } else { 0.0 };
+    }
+
+    /// u_t/g \[s\].
+    fn time_scale(&self) -> f64 {
+        let Setup { powder, gas, gravity, .. } = &self.setup;
+        crate::laws::scales::Scales::new(powder, gas, *gravity).time()
     }
 
     /// Largest Σ |u_a|/h_a of a cell \[1/s\].

@@ -28,16 +28,18 @@ const ALLOWED: &[(&str, &str)] = &[
     ("forms", ""),
     ("fit", "forms table"),
     ("model", "fit forms laws table"),
-    ("figure", "fit forms model stability table"),
+    ("figure", "bench fit forms model stability table"),
     ("output", ""),
     ("progress", "series simulate"),
     ("checkpoint", "case filtered output simulate stability statistics"),
     ("summary", "case laws model rows series simulate stability table"),
     (
         "pipeline",
-        "case checkpoint figure fit forms laws model output progress series simulate stability statistics summary table",
+        "bench case checkpoint figure fit forms laws model output progress series simulate stability statistics summary table",
     ),
-    ("bench", "case grid real rows simulate"),
+    ("bench", "blocking case filter fine grid laws real rows series simulate statistics two_fluid"),
+    ("hard", "case grid laws real two_fluid"),
+    ("verify", "case grid laws real two_fluid"),
 ];
 
 /// Outside dependencies that only some modules may name.
@@ -46,6 +48,7 @@ const RESERVED: &[(&str, &str)] = &[
     ("unsafe", "rows"),
     ("kuva", "figure"),
     ("indicatif", "progress"),
+    ("cpu_time", "bench"),
 ];
 
 fn source() -> PathBuf {

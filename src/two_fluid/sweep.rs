@@ -11,6 +11,7 @@
 
 use super::exchange::{self, Inertia};
 use super::granular;
+use super::imposed::Sources;
 use super::stress::{self, around, pair, pairs, shear_lines};
 use super::transport::{self, Line, Share, Wanted};
 use super::{MOST_GAS_STEPS, Medium};
@@ -41,6 +42,8 @@ pub(super) struct Before<'a, R, const D: usize> {
     pub(super) most_diffusivity: R,
     /// Solids fraction from which on a cell is not nearly empty \[-\].
     pub(super) nearly_empty: R,
+    /// What verification adds.
+    pub(super) sources: Option<&'a Sources<R, D>>,
 }
 
 /// What a sweep leaves, of its own slabs.
@@ -154,6 +157,8 @@ pub(super) struct Sweep<R, const D: usize> {
     limit: Ring<R, D>,
     /// Where rows of other parts go.
     spare: Vec<Vec<R>>,
+    /// Velocities of a row, with what verification adds.
+    pushed: [Vec<R>; 2],
 }
 
 impl<R: Real, const D: usize> Sweep<R, D> {
@@ -191,7 +196,8 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             solids_pressure: ring(2),
             total: rings(2),
             limit: ring(1),
-            spare: vec![vec![R::ZERO; layout.row_with_halo_len()]; 3],
+            spare: vec![vec![R::ZERO; layout.most_elements()]; 3],
+            pushed: std::array::from_fn(|_| vec![R::ZERO; layout.most_elements()]),
         }
     }
 
@@ -270,6 +276,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         for row in before.rows(slab) {
             let velocity = both_faces(before.solids, row);
             fill!(
+                before.layout,
                 [most = self.most.line(row)],
                 transport::most_row(most, velocity, before.courant)
             );
@@ -285,6 +292,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let (phi, theta) = (Line::at(*phi, row, axis), Line::at(*theta, row, axis));
                 let (us, ug, c) = (solids[axis].row(row), gas[axis].row(row), courant[axis]);
                 fill!(
+                    before.layout,
                     [
                         fs = self.solids_flux[axis].line(row),
                         fg = self.gas_flux[axis].line(row),
@@ -311,9 +319,17 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             let (fs, ft) = (both_faces(&self.solids_flux, row), both_faces(&self.heat_flux, row));
             let (phi_old, theta_old) = (before.phi.row(row), before.theta.row(row));
             fill!(
+                before.layout,
                 [phi = self.phi.line(row), theta = self.theta.line(row)],
                 transport::advect_row(phi, theta, phi_old, theta_old, fs, ft, before.courant)
             );
+            if let Some(sources) = before.sources {
+                fill!(
+                    before.layout,
+                    [theta = self.theta.line(row)],
+                    sources.heat(theta, row, before.dt)
+                );
+            }
             after.phi.line(row, &mut self.spare[0]).copy_from_slice(self.phi.whole(row));
         }
     }
@@ -323,6 +339,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         let Self { carried_within, carried_on, solids_flux, solids, phi, .. } = self;
         let within = carried_within.as_mut_slice();
         let momentum = Momentum {
+            layout: before.layout,
             velocity: before.solids,
             flux: solids_flux,
             fractions: [before.phi as &dyn Lines<R, D>, phi],
@@ -340,7 +357,11 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let (old, new) = (before.phi, &self.phi);
                 let fractions = [old.row(below), old.row(row), new.row(below), new.row(row)];
                 let u = before.gas[axis].row(row);
-                fill!([gas = self.gas[0][axis].line(row)], transport::stay_row(gas, u, fractions));
+                fill!(
+                    before.layout,
+                    [gas = self.gas[0][axis].line(row)],
+                    transport::stay_row(gas, u, fractions)
+                );
             }
         }
     }
@@ -361,11 +382,27 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         let courant = before.courant.map(|c| c * R::of(part));
         let on = &mut carried_on[1 + n];
         let (done, to_do) = gas.split_at_mut(n);
+        let layout = before.layout;
         match done.last() {
-            None => Momentum { velocity: before.gas, flux: gas_flux, fractions, shares, courant }
-                .carry(before, within, on, &mut to_do[0], slab, before_first),
-            Some(velocity) => Momentum { velocity, flux: gas_flux, fractions, shares, courant }
-                .carry(before, within, on, &mut to_do[0], slab, before_first),
+            None => Momentum {
+                layout,
+                velocity: before.gas,
+                flux: gas_flux,
+                fractions,
+                shares,
+                courant,
+            }
+            .carry(before, within, on, &mut to_do[0], slab, before_first),
+            Some(velocity) => {
+                Momentum { layout, velocity, flux: gas_flux, fractions, shares, courant }.carry(
+                    before,
+                    within,
+                    on,
+                    &mut to_do[0],
+                    slab,
+                    before_first,
+                )
+            }
         }
     }
 
@@ -387,7 +424,8 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             let (phi, theta) = (self.phi.row(row), self.theta.row(row));
             let medium = before.medium;
             let bounds = [before.most_diffusivity, before.nearly_empty];
-            let largest = fill!(
+            let most = fill!(
+                before.layout,
                 [
                     slip = self.slip_squared.line(row),
                     drag = self.drag.line(row),
@@ -402,10 +440,10 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     medium.drag.fill(drag, phi, slip);
                     let outputs = [g0, viscosity, bulk, conductivity, &mut *diffusivity];
                     medium.contact.kinetic(outputs, medium, phi, theta, drag, bounds);
-                    max_abs(diffusivity)
+                    largest(before.layout, diffusivity)
                 }
             );
-            fastest = fastest.max(largest);
+            fastest = fastest.max(most);
             after.drag.line(row, &mut self.spare[0]).copy_from_slice(self.drag.whole(row));
         }
         fastest
@@ -419,6 +457,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let u = both_faces(&self.solids, row);
                 let (mu, bulk) = (self.viscosity.row(row), self.bulk_viscosity.row(row));
                 fill!(
+                    before.layout,
                     [normal = self.normal[axis].line(row)],
                     stress::normal_row(normal, axis, u, mu, bulk, h)
                 );
@@ -427,6 +466,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let u = shear_lines(&self.solids, (a, b), row);
                 let mu = around(&self.viscosity, (a, b), row);
                 fill!(
+                    before.layout,
                     [shear = self.shear[at].line(row)],
                     stress::shear_row(shear, u, mu, [h[a], h[b]])
                 );
@@ -450,6 +490,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let phi = [self.phi.row(row.near(axis, -1)), self.phi.row(row)];
                 let u = self.solids[axis].row(row);
                 fill!(
+                    before.layout,
                     [new = self.sheared[axis].line(row)],
                     stress::apply_row(new, u, stress, phi, impulse, before.inverse_spacing)
                 );
@@ -468,6 +509,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let phi = around(&self.phi, (a, b), row);
                 let shear = self.shear[at].row(row);
                 fill!(
+                    before.layout,
                     [heating = self.shear_heating[at].line(row)],
                     stress::shear_heating_row(heating, shear, u, phi, [h[a], h[b]])
                 );
@@ -491,7 +533,8 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             let (drag, slip) = (self.drag.row(row), self.slip_squared.row(row));
             let old = self.theta.row(row);
             let u = both_faces(&self.sheared, row);
-            let largest = fill!(
+            let most = fill!(
+                before.layout,
                 [
                     theta = after.theta.line(row, &mut self.spare[0]),
                     pressure = self.solids_pressure.line(row),
@@ -521,10 +564,10 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     granular::balance_row(theta, medium, phi, old, g0, drag, slip, u, h, dt);
                     let outputs = [pressure, &mut *sound];
                     medium.contact.pressure(outputs, medium.theory, phi, g0, theta, drag, dt);
-                    max_abs(sound)
+                    largest(before.layout, sound)
                 }
             );
-            fastest = fastest.max(largest);
+            fastest = fastest.max(most);
         }
         fastest
     }
@@ -538,8 +581,14 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let below = row.near(axis, -1);
                 let spacing = before.inverse_spacing[axis];
                 let buoyancy = if axis + 1 == D { before.buoyancy } else { [R::ZERO; 2] };
+                let mut velocities = [self.sheared[axis].row(row), gas[axis].row(row)];
+                if let Some(sources) = before.sources {
+                    sources.push(&mut self.pushed, velocities, axis, row, before.dt);
+                    velocities = self.pushed.each_ref().map(Vec::as_slice);
+                }
                 let [us, ug, weights] = self.spare.first_chunk_mut().expect("three spare rows");
                 fill!(
+                    before.layout,
                     [
                         us = after.solids[axis].line(row, us),
                         ug = after.gas[axis].line(row, ug),
@@ -551,7 +600,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                         ug,
                         total,
                         weights,
-                        [self.sheared[axis].row(row), gas[axis].row(row)],
+                        velocities,
                         [self.phi.row(below), self.phi.row(row)],
                         [self.drag.row(below), self.drag.row(row)],
                         [self.solids_pressure.row(below), self.solids_pressure.row(row)],
@@ -571,6 +620,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         for row in before.rows(slab) {
             let total = both_faces(&self.total, row);
             fill!(
+                before.layout,
                 [right = after.right.line(row, &mut self.spare[0])],
                 exchange::convergence_row(right, total, before.inverse_spacing)
             );
@@ -586,9 +636,13 @@ impl<R: Real, const D: usize> Before<'_, R, D> {
 
     /// The rows of a slab.
     fn rows(&self, slab: isize) -> impl Iterator<Item = Row<D>> + use<R, D> {
-        let layout = self.layout;
-        (0..layout.rows_of_slab()).map(move |row| layout.row_of_slab(slab, row))
+        self.layout.pieces(slab)
     }
+}
+
+/// The largest absolute value of rows.
+fn largest<R: Real, const D: usize>(layout: Layout<D>, cells: &[R]) -> R {
+    layout.each(cells).map(max_abs).fold(R::ZERO, R::max)
 }
 
 /// The lower and upper faces of a row of cells along each axis.
@@ -602,6 +656,7 @@ fn both_faces<R: Real, const D: usize>(
 
 /// Momentum of one phase and what carries it.
 struct Momentum<'a, R, L, const D: usize> {
+    layout: Layout<D>,
     velocity: &'a [L; D],
     flux: &'a [Ring<R, D>; D],
     /// φ before and after.
@@ -646,6 +701,7 @@ impl<R: Real, L: Lines<R, D>, const D: usize> Momentum<'_, R, L, D> {
                 let fractions = [old.row(below), old.row(row), after.row(below), after.row(row)];
                 let u = self.velocity[component].row(row);
                 fill!(
+                    before.layout,
                     [new = new[component].line(row)],
                     transport::momentum_row(new, u, carried, fractions, self.shares)
                 );
@@ -658,6 +714,7 @@ impl<R: Real, L: Lines<R, D>, const D: usize> Momentum<'_, R, L, D> {
         let below = row.near(component, -1);
         let (flux, velocity) = (&self.flux[axis], &self.velocity[axis]);
         fill!(
+            self.layout,
             [out = out.line(row)],
             transport::carry_row(
                 out,
