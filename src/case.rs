@@ -20,7 +20,7 @@
 //! | `[physics]` | `drag` | fine-grid drag law | `"wen-yu"`, `"gidaspow"`, `"beetstra"`, `"tenneti"` | `"wen-yu"` |
 //! | | `radial_distribution` | how much crowding makes particles collide | `"princeton"`, `"carnahan-starling"`, `"ma-ahmadi"` | `"princeton"` |
 //! | | `friction` | pressure of enduring contacts | `"barrier"`, `"none"`, `"schaeffer"`, `"johnson-jackson"`, `"srivastava-sundaresan"` | `"barrier"` |
-//! | | `granular_energy` | how the granular temperature is found | `"transport"` | `"transport"` |
+//! | | `granular_energy` | how the granular temperature is found | `"transport"`, `"algebraic"` | `"transport"` |
 //! | | `gas_inertia` | whether the gas carries momentum along, as in [`Terms`] | `true`, `false` | `true` |
 //! | | `gravity` | g [m/s²] | 1e-3 to 1e4 | 9.81 |
 //! | `[filter]` | `widths` | edges of the box filters | whole cells along every axis, from 2 cells to half the box | 4, 8, 16 and 32 cells as far as they fit |
@@ -251,6 +251,11 @@ pub(crate) use with_friction;
 pub enum GranularEnergyChoice {
     /// Its balance equation is solved.
     Transport,
+    /// What makes it and what dissipates it balance in each cell, as of
+    /// [`balanced_temperature`](crate::laws::kinetic_theory::balanced_temperature): neither the
+    /// solids nor conduction carry it, and none is kept. Shear and compression heat by the
+    /// temperature of the step before.
+    Algebraic,
 }
 
 /// `[filter]`: which filters, and by what their results are binned.
@@ -809,6 +814,7 @@ precision = "f64"
                 "barrier",
                 &["barrier", "none", "schaeffer", "johnson-jackson", "srivastava-sundaresan"],
             ),
+            ("granular_energy", "transport", &["transport", "algebraic"]),
         ] {
             let line = format!("{key} = \"{default}\"");
             for name in names {

@@ -13,7 +13,8 @@
 //!    carries momentum at all, see [`Terms`]);
 //! 4. drag coefficient and kinetic-theory closures;
 //! 5. viscous stress of the solids, with the heat that its loss of kinetic energy makes;
-//! 6. balance of granular energy, implicit in each cell; solids pressure;
+//! 6. balance of granular energy, implicit in each cell (its rate of change, conduction and step 2
+//!    left out if it is algebraic); solids pressure;
 //! 7. drag implicit on each face, with weight, solids pressure and the old gas pressure;
 //! 8. projection: the pressure increment that makes the total volume flux divergence-free.
 //!
@@ -31,8 +32,8 @@ mod sweep;
 mod transport;
 
 use crate::case::{
-    DragChoice, FrictionChoice, RadialDistributionChoice, Terms, with_drag, with_friction,
-    with_radial_distribution,
+    DragChoice, FrictionChoice, GranularEnergyChoice, RadialDistributionChoice, Terms, with_drag,
+    with_friction, with_radial_distribution,
 };
 use crate::field::{Faces, Field, Layout, Row};
 use crate::fine::{FineFields, symmetric_index};
@@ -371,6 +372,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             buoyancy: self.buoyancy,
             dt: R::of(dt),
             gas_steps,
+            transports_heat: self.setup.terms.granular_energy == GranularEnergyChoice::Transport,
             courant: self.grid.spacing.map(|h| R::of(dt / h)),
             inverse_spacing,
             most_diffusivity: R::of(DIFFUSION / (dt * inverse_square)),
@@ -792,9 +794,14 @@ mod tests {
     }
 
     /// `setup` with terms that are not the default, one set after the other.
-    fn other_terms(setup: Setup) -> [Setup; 1] {
+    fn other_terms(setup: Setup) -> [Setup; 3] {
+        use GranularEnergyChoice::Algebraic;
         let terms = setup.terms;
-        [Setup { terms: Terms { gas_inertia: false, ..terms }, ..setup }]
+        [
+            Setup { terms: Terms { gas_inertia: false, ..terms }, ..setup },
+            Setup { terms: Terms { granular_energy: Algebraic, ..terms }, ..setup },
+            Setup { terms: Terms { gas_inertia: false, granular_energy: Algebraic }, ..setup },
+        ]
     }
 
     #[test]
@@ -815,6 +822,60 @@ mod tests {
             }
             assert!(end.solids_fraction_variance > 1e-3, "{:?}", setup.terms);
         }
+    }
+
+    #[test]
+    fn algebraic_temperature_is_that_of_the_uniform_state_at_once() {
+        for phi in [0.01, 0.15, 0.4, 0.58] {
+            let base = setup(phi, 0.0);
+            let terms = Terms { granular_energy: GranularEnergyChoice::Algebraic, ..base.terms };
+            let grid = Grid::new([0.01, 0.01], [8, 8]);
+            let mut flow = TwoFluid::<f64, 2>::new(grid, Setup { terms, ..base });
+            flow.theta.set(|_| 0.0);
+            // The second step is from at rest to what the slip alone makes.
+            for _ in 0..2 {
+                flow.step(f64::INFINITY).unwrap();
+            }
+            let slip = flow.means().slip;
+            let drag = flow.law.beta_per_fraction(phi, slip);
+            let g0 = flow.contact.radial_distribution(phi);
+            let theory = KineticTheory::<f64>::new(&GAS, &POWDER);
+            let expected = theory.steady_temperature(phi, g0, drag, slip);
+            for found in [flow.theta.min(), flow.theta.max()] {
+                assert!((found / expected - 1.0).abs() < 1e-6, "{phi}: {found} {expected}");
+            }
+        }
+    }
+
+    /// Mean of T by solids mass over u_t² in a clustered bed, and the steps that 0.5 s took.
+    fn clustered_temperature(granular_energy: GranularEnergyChoice) -> (f64, usize) {
+        let base = setup(0.15, 0.5);
+        let terms = Terms { granular_energy, ..base.terms };
+        let grid = Grid::new([0.04, 0.04], [32, 32]);
+        let mut flow = TwoFluid::<f64, 2>::new(grid, Setup { terms, ..base });
+        let (mut heat, mut steps, mut samples) = (0.0, 0, 0.0);
+        while flow.time() < 0.5 {
+            flow.step(f64::INFINITY).unwrap();
+            steps += 1;
+            assert!(flow.theta.min() > 0.0 && flow.phi.min() >= 0.0);
+            if flow.time() > 0.25 {
+                let cells = flow.phi.interior().flatten().zip(flow.theta.interior().flatten());
+                heat += cells.map(|(phi, theta)| phi * theta).sum::<f64>() / (0.15 * 1024.0);
+                samples += 1.0;
+            }
+        }
+        assert!(flow.means().solids_fraction_variance > 5e-3);
+        let u_t = Scales::new(&POWDER, &GAS, 9.81).terminal_velocity;
+        (heat / samples / (u_t * u_t), steps)
+    }
+
+    #[test]
+    fn algebraic_temperature_of_a_clustered_bed_is_like_the_transported_one() {
+        let (transported, steps) = clustered_temperature(GranularEnergyChoice::Transport);
+        let (algebraic, most) = clustered_temperature(GranularEnergyChoice::Algebraic);
+        println!("T/u_t²: {transported} in {steps} steps, {algebraic} in {most}");
+        assert!((0.5..2.0).contains(&(algebraic / transported)), "{algebraic} {transported}");
+        assert!(most < 3 * steps, "{most} {steps}");
     }
 
     /// Gas almost alone that blows upward at 0.5 m/s and sways to the side as sin k z, k = 2π/1 cm:

@@ -15,7 +15,7 @@ use super::imposed::Sources;
 use super::stress::{self, around, pair, pairs, shear_lines};
 use super::transport::{self, Line, Share, Wanted};
 use super::{MOST_GAS_STEPS, Medium};
-use crate::case::Terms;
+use crate::case::{GranularEnergyChoice, Terms};
 use crate::field::{Faces, Field, Layout, Lines, Ring, Row, Slabs, fill};
 use crate::real::Real;
 use crate::rows::{max_abs, per_axis};
@@ -34,6 +34,8 @@ pub(super) struct Before<'a, R, const D: usize> {
     pub(super) dt: R,
     /// Sub-steps of the gas's momentum transport, up to [`MOST_GAS_STEPS`]; 0 if it carries none.
     pub(super) gas_steps: usize,
+    /// Whether granular temperature is carried by the solids and conducted.
+    pub(super) transports_heat: bool,
     /// dt/h along each axis \[s/m\].
     pub(super) courant: [R; D],
     /// 1/h along each axis \[1/m\].
@@ -168,6 +170,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         let rings = |slabs| std::array::from_fn(|_| Ring::new(layout, slabs));
         let several = |n, slabs| (0..n).map(|_| Ring::new(layout, slabs)).collect();
         let pairs = D * (D - 1) / 2;
+        let transports_heat = terms.granular_energy == GranularEnergyChoice::Transport;
         let most_gas_steps = if terms.gas_inertia { MOST_GAS_STEPS } else { 0 };
         // The lengths follow from how far apart in the sweep a slab is made and last looked at; see
         // `run`.
@@ -176,9 +179,9 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             most: ring(2),
             solids_flux: rings(8),
             gas_flux: rings(if terms.gas_inertia { 8 } else { 1 }),
-            heat_flux: rings(2),
+            heat_flux: rings(if transports_heat { 2 } else { 1 }),
             phi: ring(16),
-            theta: ring(16),
+            theta: ring(if transports_heat { 16 } else { 1 }),
             carried_within: several(D - 1, 1),
             carried_on: (0..=most_gas_steps).map(|_| rings(2)).collect(),
             solids: rings(4),
@@ -188,7 +191,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             radial_distribution: ring(4),
             viscosity: ring(4),
             bulk_viscosity: ring(4),
-            conductivity: ring(4),
+            conductivity: ring(if transports_heat { 4 } else { 1 }),
             normal: rings(4),
             shear: several(pairs, 2),
             shear_heating: several(pairs, 2),
@@ -298,14 +301,19 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                         fg = self.gas_flux[axis].line(row),
                         ft = self.heat_flux[axis].line(row),
                     ],
-                    match before.gas_steps {
-                        0 => {
-                            let wanted = Wanted::<false>;
-                            transport::flux_row(fs, fg, ft, phi, theta, us, ug, most, c, wanted)
+                    {
+                        // A kernel for each choice of terms.
+                        macro_rules! made {
+                            ($gas:literal, $heat:literal) => {{
+                                let wanted = Wanted::<$gas, $heat>;
+                                transport::flux_row(fs, fg, ft, phi, theta, us, ug, most, c, wanted)
+                            }};
                         }
-                        _ => {
-                            let wanted = Wanted::<true>;
-                            transport::flux_row(fs, fg, ft, phi, theta, us, ug, most, c, wanted)
+                        match (before.gas_steps > 0, before.transports_heat) {
+                            (true, true) => made!(true, true),
+                            (true, false) => made!(true, false),
+                            (false, true) => made!(false, true),
+                            (false, false) => made!(false, false),
                         }
                     }
                 );
@@ -316,14 +324,24 @@ impl<R: Real, const D: usize> Sweep<R, D> {
     /// Solids fraction and temperature by the fluxes.
     fn advect(&mut self, before: &Before<'_, R, D>, after: &mut After<'_, R, D>, slab: isize) {
         for row in before.rows(slab) {
-            let (fs, ft) = (both_faces(&self.solids_flux, row), both_faces(&self.heat_flux, row));
+            let fs = both_faces(&self.solids_flux, row);
             let (phi_old, theta_old) = (before.phi.row(row), before.theta.row(row));
-            fill!(
-                before.layout,
-                [phi = self.phi.line(row), theta = self.theta.line(row)],
-                transport::advect_row(phi, theta, phi_old, theta_old, fs, ft, before.courant)
-            );
-            if let Some(sources) = before.sources {
+            if before.transports_heat {
+                let ft = both_faces(&self.heat_flux, row);
+                fill!(
+                    before.layout,
+                    [phi = self.phi.line(row), theta = self.theta.line(row)],
+                    transport::advect_row(phi, theta, phi_old, theta_old, fs, ft, before.courant)
+                );
+            } else {
+                fill!(
+                    before.layout,
+                    [phi = self.phi.line(row)],
+                    transport::advect_solids_row(phi, phi_old, fs, before.courant)
+                );
+            }
+            // A temperature that is not carried has no rate to which a source could be added.
+            if let (Some(sources), true) = (before.sources, before.transports_heat) {
                 fill!(
                     before.layout,
                     [theta = self.theta.line(row)],
@@ -421,7 +439,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let (us, ug) = (&self.solids[a], &gas[a]);
                 [us.row(row), us.row(above), ug.row(row), ug.row(above)]
             });
-            let (phi, theta) = (self.phi.row(row), self.theta.row(row));
+            let (phi, theta) = (self.phi.row(row), before.temperature(&self.theta, row));
             let medium = before.medium;
             let bounds = [before.most_diffusivity, before.nearly_empty];
             let most = fill!(
@@ -439,7 +457,8 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     granular::slip_row(slip, velocities);
                     medium.drag.fill(drag, phi, slip);
                     let outputs = [g0, viscosity, bulk, conductivity, &mut *diffusivity];
-                    medium.contact.kinetic(outputs, medium, phi, theta, drag, bounds);
+                    let conducts = before.transports_heat;
+                    medium.contact.kinetic(outputs, medium, phi, theta, drag, bounds, conducts);
                     largest(before.layout, diffusivity)
                 }
             );
@@ -518,7 +537,8 @@ impl<R: Real, const D: usize> Sweep<R, D> {
     }
 
     /// Balance of granular energy over the step: conduction and viscous heating explicit,
-    /// dissipation, compression and production by slip implicit in each cell. Leaves the temperature
+    /// dissipation, compression and production by slip implicit in each cell; or the temperature
+    /// at which the sources balance. Leaves the temperature
     /// and the solids pressure; returns the largest squared speed of sound.
     fn granular_energy(
         &mut self,
@@ -531,7 +551,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         for row in before.rows(slab) {
             let (phi, g0) = (self.phi.row(row), self.radial_distribution.row(row));
             let (drag, slip) = (self.drag.row(row), self.slip_squared.row(row));
-            let old = self.theta.row(row);
+            let old = before.temperature(&self.theta, row);
             let u = both_faces(&self.sheared, row);
             let most = fill!(
                 before.layout,
@@ -545,14 +565,18 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     theta.fill(R::ZERO);
                     for a in 0..D {
                         let (below, above) = (row.near(a, -1), row.near(a, 1));
-                        let q = &self.theta;
-                        let old = [q.row(below), q.row(row), q.row(above)];
-                        let q = &self.conductivity;
-                        let conductivity = [q.row(below), q.row(row), q.row(above)];
                         let (u, v) = (&self.solids[a], &self.sheared[a]);
                         let u = [[u.row(row), u.row(above)], [v.row(row), v.row(above)]];
                         let normal = self.normal[a].row(row);
-                        granular::heating_row(theta, old, conductivity, normal, u, h[a]);
+                        if before.transports_heat {
+                            let q = &self.theta;
+                            let old = [q.row(below), q.row(row), q.row(above)];
+                            let q = &self.conductivity;
+                            let conductivity = [q.row(below), q.row(row), q.row(above)];
+                            granular::heating_row(theta, old, conductivity, normal, u, h[a]);
+                        } else {
+                            granular::normal_heating_row(theta, normal, u, h[a]);
+                        }
                     }
                     granular::per_mass_row(theta, phi, medium.solids_density);
                     for (at, (a, b)) in pairs::<D>() {
@@ -561,7 +585,15 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                         let edges = [q.row(row), q.row(right), q.row(up), q.row(right.near(b, 1))];
                         granular::edge_heating_row(theta, edges, R::ONE / medium.solids_density);
                     }
-                    granular::balance_row(theta, medium, phi, old, g0, drag, slip, u, h, dt);
+                    if before.transports_heat {
+                        granular::balance_row(theta, medium, phi, old, g0, drag, slip, u, h, dt);
+                    } else {
+                        let mu = self.viscosity.row(row);
+                        let cell = R::ONE / h.iter().fold(R::ZERO, |sum, h| sum + *h * *h);
+                        granular::algebraic_row(
+                            theta, medium, phi, old, g0, drag, slip, u, h, mu, cell,
+                        );
+                    }
                     let outputs = [pressure, &mut *sound];
                     medium.contact.pressure(outputs, medium.theory, phi, g0, theta, drag, dt);
                     largest(before.layout, sound)
@@ -629,6 +661,13 @@ impl<R: Real, const D: usize> Sweep<R, D> {
 }
 
 impl<R: Real, const D: usize> Before<'_, R, D> {
+    /// Granular temperature that the closures are of: as the solids `carried` it, or of the step
+    /// before.
+    #[inline(always)]
+    fn temperature<'b>(&'b self, carried: &'b Ring<R, D>, row: Row<D>) -> &'b [R] {
+        if self.transports_heat { carried.row(row) } else { self.theta.row(row) }
+    }
+
     /// The last sub-step of the gas, or 0 for where its momentum stays.
     fn last_gas_step(&self) -> usize {
         self.gas_steps.saturating_sub(1)
