@@ -77,7 +77,7 @@ const SOUND_COURANT: f64 = 0.7;
 const DIFFUSION: f64 = 0.36;
 
 /// Share of the mean solids fraction below which a cell is nearly empty.
-const NEARLY_EMPTY: f64 = 0.1;
+const NEARLY_EMPTY: f64 = 0.5;
 
 /// Growth of the time step from one step to the next.
 const GROWTH: f64 = 1.1;

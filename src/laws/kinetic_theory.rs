@@ -294,10 +294,13 @@ pub fn balance_temperature<R: Real>(
     let rate = R::of(1.5) / dt;
     let cubic = rate + damping;
     let linear = (rate * before + heating).max(R::ZERO);
-    // Without collisions s³ = x² s + y³, whose root is at most 1.055 (x³ + y³)^(1/3); collisions
-    // make it smaller. The floor keeps the root finite.
+    // Two bounds from above, of which the nearer is near. Without collisions s³ = x² s + y³, whose
+    // root is at most 1.055 (x³ + y³)^(1/3); and a s⁴ is less than what feeds it at that bound. The
+    // floors keep the roots finite.
     let x2 = linear / cubic;
-    let mut s = R::of(1.055) * (x2 * x2.sqrt() + slip / cubic).max(R::of(1e-36)).cbrt();
+    let cold = R::of(1.055) * (x2 * x2.sqrt() + slip / cubic).max(R::of(1e-36)).cbrt();
+    let fed = (linear * cold + slip) / (collisional + R::of(1e-30));
+    let mut s = cold.min(fed.sqrt().sqrt());
     for _ in 0..4 {
         let s2 = s * s;
         let value = (collisional * s + cubic) * s2 * s - linear * s - slip;
@@ -525,6 +528,24 @@ mod tests {
                 let scale = 1.5 * (t + before) / dt + heating + damping * t + slip / t.sqrt();
                 assert!((rate - right).abs() < 1e-6 * scale, "{t}: {rate} {right}");
             }
+        }
+    }
+
+    #[test]
+    fn a_dense_cell_that_collapses_is_not_left_too_warm() {
+        // Only collisions: a s⁴ + c s³ = c T s, by bisection, at a √T / c of `stiffness`.
+        for (stiffness, tolerance) in [(1.0, 2e-6), (10.0, 2e-6), (100.0, 2e-4), (1000.0, 1e-2)] {
+            let (before, dt): (f64, f64) = (0.04, 1e-4);
+            let collisional = stiffness * 1.5 / dt / before.sqrt();
+            let (mut low, mut high) = (0.0, before.sqrt());
+            for _ in 0..200 {
+                let s: f64 = 0.5 * (low + high);
+                let over = collisional * s.powi(3) + 1.5 / dt * (s * s - before) > 0.0;
+                if over { high = s } else { low = s }
+            }
+            let found: f64 = balance_temperature(before, 0.0, collisional, 0.0, 0.0, dt);
+            let error = found / (low * low) - 1.0;
+            assert!(error.abs() < tolerance, "{stiffness}: {error:e}");
         }
     }
 }
