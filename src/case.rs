@@ -19,7 +19,7 @@
 //! | | `solids_fraction` | mean solids fraction, or a list: one box each, pooled | 0 < φ < φ_max | - |
 //! | `[physics]` | `drag` | fine-grid drag law | `"wen-yu"`, `"gidaspow"`, `"beetstra"`, `"tenneti"` | `"wen-yu"` |
 //! | | `radial_distribution` | how much crowding makes particles collide | `"princeton"`, `"carnahan-starling"`, `"ma-ahmadi"` | `"princeton"` |
-//! | | `friction` | pressure of enduring contacts | `"barrier"`, `"none"`, `"schaeffer"`, `"johnson-jackson"`, `"srivastava-sundaresan"` | `"barrier"` |
+//! | | `friction` | pressure of enduring contacts, and their viscosity if the law has one | `"barrier"`, `"none"`, `"schaeffer"`, `"johnson-jackson"`, `"srivastava-sundaresan"` | `"barrier"` |
 //! | | `granular_energy` | how the granular temperature is found | `"transport"`, `"algebraic"` | `"transport"` |
 //! | | `gas_inertia` | whether the gas carries momentum along, as in [`Terms`] | `true`, `false` | `true` |
 //! | | `gravity` | g [m/s²] | 1e-3 to 1e4 | 9.81 |
@@ -200,7 +200,7 @@ macro_rules! with_radial_distribution {
 }
 pub(crate) use with_radial_distribution;
 
-/// Frictional pressures.
+/// Frictional pressures; the last three come with a viscosity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FrictionChoice {

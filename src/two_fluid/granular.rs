@@ -49,6 +49,22 @@ pub(super) trait ContactRow<R>: Send + Sync {
         conducts: bool,
     );
 
+    /// Whether friction has a viscosity.
+    fn rubs(&self) -> bool;
+
+    /// Adds the frictional viscosity, `strain` being I₂ of [`strain_row`] \[1/s²\]. The sum is bounded as
+    /// the kinetic viscosity is, by `most_diffusivity` \[m²/s\], and does not limit the time step:
+    /// what hardly shears creeps instead of standing still.
+    fn rub(
+        &self,
+        viscosity: &mut [R],
+        density: R,
+        phi: &[R],
+        theta: &[R],
+        strain: &[R],
+        most_diffusivity: R,
+    );
+
     /// Leaves the solids pressure and the square of the speed of sound \[m²/s²\].
     #[allow(clippy::too_many_arguments)]
     fn pressure(
@@ -67,6 +83,9 @@ pub(super) trait ContactRow<R>: Send + Sync {
 
     /// Frictional pressure of one cell \[Pa\].
     fn frictional_pressure(&self, phi: R) -> R;
+
+    /// Frictional viscosity of one cell \[Pa·s\]; arguments as of [`Friction::viscosity`].
+    fn frictional_viscosity(&self, phi: R, theta: R, second_invariant: R) -> R;
 }
 
 /// A radial distribution and a friction.
@@ -109,6 +128,22 @@ impl<R: Real, G: RadialDistribution<R>, F: Friction<R>> ContactRow<R> for Contac
         if conducts { made!(true) } else { made!(false) }
     }
 
+    fn rubs(&self) -> bool {
+        F::VISCOUS
+    }
+
+    fn rub(
+        &self,
+        viscosity: &mut [R],
+        density: R,
+        phi: &[R],
+        theta: &[R],
+        strain: &[R],
+        most_diffusivity: R,
+    ) {
+        rub_row(viscosity, density, self.friction, phi, theta, strain, most_diffusivity);
+    }
+
     fn pressure(
         &self,
         [pressure, sound]: [&mut [R]; 2],
@@ -129,6 +164,73 @@ impl<R: Real, G: RadialDistribution<R>, F: Friction<R>> ContactRow<R> for Contac
 
     fn frictional_pressure(&self, phi: R) -> R {
         self.friction.pressure(phi).0
+    }
+
+    fn frictional_viscosity(&self, phi: R, theta: R, second_invariant: R) -> R {
+        self.friction.viscosity(phi, theta, second_invariant)
+    }
+}
+
+simd! {
+    fn rub_row[R: Real, F: Friction<R>](
+        viscosity: &mut [R],
+        density: R,
+        friction: F,
+        phi: &[R],
+        theta: &[R],
+        strain: &[R],
+        most_diffusivity: R,
+    ) {
+        let n = viscosity.len();
+        let (phi, theta, strain) = (&phi[..n], &theta[..n], &strain[..n]);
+        for i in 0..n {
+            let bound = most_diffusivity * density * (phi[i] + R::of(GHOST));
+            let contacts = friction.viscosity(phi[i], theta[i], strain[i]);
+            viscosity[i] = (viscosity[i] + contacts).min(bound);
+        }
+    }
+}
+
+simd! {
+    /// ½ (Σ D_aa² - (∇·u)²/3), the part of I₂ = ½ S:S that the normal rates of strain make \[1/s²\].
+    pub(super) fn strain_row[R: Real, const D: usize](
+        strain: &mut [R],
+        u: [[&[R]; 2]; D],
+        inverse_spacing: [R; D],
+    ) {
+        let n = strain.len();
+        let u = by_axis(u, n);
+        for i in 0..n {
+            let divergence = sum_axes!(D, u, |[lower, upper], a| {
+                inverse_spacing[a] * (upper[i] - lower[i])
+            });
+            let square = sum_axes!(D, u, |[lower, upper], a| {
+                let rate = inverse_spacing[a] * (upper[i] - lower[i]);
+                rate * rate
+            });
+            // The sum of squares is never less, but for round-off.
+            strain[i] = (R::of(0.5) * (square - R::of(1.0 / 3.0) * divergence * divergence))
+                .max(R::ZERO);
+        }
+    }
+}
+
+simd! {
+    /// Adds to I₂ what the shear rate γ of one pair of axes makes, γ²/4: the mean of γ of a cell's four
+    /// edges. `u` is each component above and below along the other axis, on either face.
+    pub(super) fn shear_strain_row[R: Real](
+        strain: &mut [R],
+        u: [[&[R]; 4]; 2],
+        inverse_spacing: [R; 2],
+    ) {
+        let n = strain.len();
+        let u = [cut(u[0], n), cut(u[1], n)];
+        for i in 0..n {
+            let across = |u: &[&[R]; 4]| (u[0][i] + u[1][i]) - (u[2][i] + u[3][i]);
+            let rate = inverse_spacing[1] * across(&u[0]) + inverse_spacing[0] * across(&u[1]);
+            // The mean of two faces, over two cells: a quarter; γ²/4 once more.
+            strain[i] += R::of(1.0 / 64.0) * rate * rate;
+        }
     }
 }
 

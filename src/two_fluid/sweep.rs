@@ -145,6 +145,8 @@ pub(super) struct Sweep<R, const D: usize> {
     radial_distribution: Ring<R, D>,
     viscosity: Ring<R, D>,
     bulk_viscosity: Ring<R, D>,
+    /// I₂ of the solids' rate of strain, where friction asks for it \[1/s²\].
+    strain: Ring<R, D>,
     conductivity: Ring<R, D>,
     /// τ_aa at cell centres, τ_ab on edges, tension positive \[Pa\].
     normal: [Ring<R, D>; D],
@@ -191,6 +193,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             radial_distribution: ring(4),
             viscosity: ring(4),
             bulk_viscosity: ring(4),
+            strain: ring(1),
             conductivity: ring(if transports_heat { 4 } else { 1 }),
             normal: rings(4),
             shear: several(pairs, 2),
@@ -217,22 +220,24 @@ impl<R: Real, const D: usize> Sweep<R, D> {
     ) -> Fastest<R> {
         let [begin, end] = self.slabs.map(|slab| slab as isize);
         let m = before.last_gas_step() as isize + 1;
+        // Friction looks at the velocity of the solids a slab further below.
+        let reach = isize::from(before.medium.contact.rubs());
         let mut fastest = Fastest::<R>::NONE;
         // At time `now` each stage makes the slab that lies as far behind as its inputs ask for, if
         // that slab is within what the later stages look at: `below` slabs before the part and
         // `above` after it.
-        for now in begin - 2 * m - 3..end + 2 * m + 3 {
+        for now in begin - 2 * m - 3 - reach..end + 2 * m + 3 {
             let due = |behind: isize, below: isize, above: isize| {
                 let slab = now - behind;
                 (begin - below..end + above).contains(&slab).then_some(slab)
             };
-            if let Some(slab) = due(0, 2 * m + 3, 2 * m + 3) {
+            if let Some(slab) = due(0, 2 * m + 3 + reach, 2 * m + 3) {
                 self.most(before, slab);
             }
-            if let Some(slab) = due(0, 2 * m + 2, 2 * m + 3) {
+            if let Some(slab) = due(0, 2 * m + 2 + reach, 2 * m + 3) {
                 self.fluxes(before, slab);
             }
-            if let Some(slab) = due(1, 2 * m + 2, 2 * m + 2) {
+            if let Some(slab) = due(1, 2 * m + 2 + reach, 2 * m + 2) {
                 self.advect(before, after, slab);
             }
             if before.gas_steps == 0
@@ -246,8 +251,8 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     self.gas_momentum(before, n, slab, slab == begin - 4 - left);
                 }
             }
-            if let Some(slab) = due(2 * m - 1, 4, 4) {
-                self.solids_momentum(before, slab, slab == begin - 4);
+            if let Some(slab) = due(2 * m - 1, 4 + reach, 4) {
+                self.solids_momentum(before, slab, slab == begin - 4 - reach);
             }
             if let Some(slab) = due(2 * m, 3, 3) {
                 fastest.diffusivity = fastest.diffusivity.max(self.closures(before, after, slab));
@@ -465,7 +470,42 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             fastest = fastest.max(most);
             after.drag.line(row, &mut self.spare[0]).copy_from_slice(self.drag.whole(row));
         }
+        if before.medium.contact.rubs() {
+            self.friction(before, slab);
+        }
         fastest
+    }
+
+    /// Frictional viscosity, on top of the kinetic one.
+    fn friction(&mut self, before: &Before<'_, R, D>, slab: isize) {
+        let Before { medium, inverse_spacing: h, most_diffusivity, .. } = *before;
+        for row in before.rows(slab) {
+            let (phi, theta) = (self.phi.row(row), before.temperature(&self.theta, row));
+            let u = &self.solids;
+            fill!(
+                before.layout,
+                [strain = self.strain.line(row), viscosity = self.viscosity.line(row)],
+                {
+                    granular::strain_row(strain, both_faces(u, row), h);
+                    for (_, (a, b)) in pairs::<D>() {
+                        let across = |u: usize, by: usize| {
+                            let (above, below) = (row.near(by, 1), row.near(by, -1));
+                            let q = &self.solids[u];
+                            [
+                                q.row(above),
+                                q.row(above.near(u, 1)),
+                                q.row(below),
+                                q.row(below.near(u, 1)),
+                            ]
+                        };
+                        let u = [across(a, b), across(b, a)];
+                        granular::shear_strain_row(strain, u, [h[a], h[b]]);
+                    }
+                    let (rho, most) = (medium.solids_density, most_diffusivity);
+                    medium.contact.rub(viscosity, rho, phi, theta, strain, most);
+                }
+            );
+        }
     }
 
     /// Viscous stress of the solids.
