@@ -22,6 +22,7 @@
 //! | | `friction` | pressure of enduring contacts, and their viscosity if the law has one | `"barrier"`, `"none"`, `"schaeffer"`, `"johnson-jackson"`, `"srivastava-sundaresan"` | `"barrier"` |
 //! | | `granular_energy` | how the granular temperature is found | `"transport"`, `"algebraic"` | `"transport"` |
 //! | | `gas_inertia` | whether the gas carries momentum along, as in [`Terms`] | `true`, `false` | `true` |
+//! | | `gas_stress` | whether the gas's viscosity acts between cells, as in [`Terms`] | `true`, `false` | `false` |
 //! | | `gravity` | g [m/s²] | 1e-3 to 1e4 | 9.81 |
 //! | `[filter]` | `widths` | edges of the box filters | whole cells along every axis, from 2 cells to half the box | 4, 8, 16 and 32 cells as far as they fit |
 //! | | `markers` | what results are binned by | `"solids_fraction"`, and `"slip"` | `["solids_fraction"]` |
@@ -111,12 +112,19 @@ pub struct Terms {
     /// without solids has against the pressure. Without the other the frame matters (it is that of
     /// zero mixture momentum), and momentum is kept all the same.
     pub gas_inertia: bool,
+    /// `gas_stress`: whether the deviatoric stress of the gas is there, τ = 2 μ_g S, S of u_g, with the
+    /// molecular μ_g. It pushes each phase by its fraction, as the pressure does.
+    pub gas_stress: bool,
 }
 
 impl Default for Terms {
     /// What a case gets that chooses nothing.
     fn default() -> Self {
-        Self { granular_energy: GranularEnergyChoice::Transport, gas_inertia: true }
+        Self {
+            granular_energy: GranularEnergyChoice::Transport,
+            gas_inertia: true,
+            gas_stress: false,
+        }
     }
 }
 
@@ -515,6 +523,7 @@ impl Case {
              friction = {}\n\
              granular_energy = {}\n\
              gas_inertia = {}\n\
+             gas_stress = {}\n\
              gravity = {:?}\n\
              \n[filter]\n\
              widths = {:?}\n\
@@ -541,6 +550,7 @@ impl Case {
             quoted(&physics.friction),
             quoted(&physics.terms.granular_energy),
             physics.terms.gas_inertia,
+            physics.terms.gas_stress,
             physics.gravity,
             filter.widths,
             quoted(&filter.markers),
@@ -599,6 +609,7 @@ radial_distribution = "princeton"
 friction = "barrier"
 granular_energy = "transport"
 gas_inertia = true
+gas_stress = false
 gravity = 9.81
 [filter]
 widths = [0.005, 0.01, 0.02, 0.04]
@@ -833,7 +844,7 @@ precision = "f64"
 
     #[test]
     fn terms_are_switched_by_true_and_false() {
-        for (key, default) in [("gas_inertia", true)] {
+        for (key, default) in [("gas_inertia", true), ("gas_stress", false)] {
             let line = format!("{key} = {default}");
             let case = text_with(&line, &format!("{key} = {}", !default)).unwrap();
             assert!(case.to_toml().contains(&format!("\n{key} = {}\n", !default)));

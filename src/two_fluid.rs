@@ -2,7 +2,7 @@
 //!
 //! Balances of mass and momentum of both phases and of granular energy (Agrawal et al. 2001; see
 //! [`laws`](crate::laws) for the closures), driven by gravity and a mean gas pressure gradient that
-//! balances the weight. The gas is incompressible; its deviatoric stress is left out.
+//! balances the weight. The gas is incompressible.
 //!
 //! Staggered grid: solids fraction φ, granular temperature T and gas pressure p at cell centres,
 //! velocities on faces. A step of [`TwoFluid::step`]:
@@ -15,7 +15,7 @@
 //! 5. viscous stress of the solids, with the heat that its loss of kinetic energy makes;
 //! 6. balance of granular energy, implicit in each cell (its rate of change, conduction and step 2
 //!    left out if it is algebraic); solids pressure;
-//! 7. drag implicit on each face, with weight, solids pressure and the old gas pressure;
+//! 7. viscous stress of the gas (if it has one); drag implicit on each face, with weight, solids pressure and the old gas pressure;
 //! 8. projection: the pressure increment that makes the total volume flux divergence-free.
 //!
 //! Momentum of the mixture is conserved to round-off, because every exchange is one number with
@@ -146,7 +146,7 @@ pub enum Limit {
     Sound,
     /// The longest step allowed.
     Longest,
-    /// Viscosity or conductivity of the solids.
+    /// Viscosity or conductivity of the solids, or viscosity of the gas.
     Diffusion,
 }
 
@@ -294,7 +294,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             setup,
             time: 0.0,
             steps: 0,
-            next_dt: (FIRST_STEP * time_scale, Limit::Growth),
+            next_dt: first_step(&grid, &setup, time_scale),
             gas_speed: slip / grid.spacing[D - 1],
             clock: None,
             tolerance: TOLERANCE,
@@ -373,6 +373,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             dt: R::of(dt),
             gas_steps,
             transports_heat: self.setup.terms.granular_energy == GranularEnergyChoice::Transport,
+            gas_stress: self.setup.terms.gas_stress,
             courant: self.grid.spacing.map(|h| R::of(dt / h)),
             inverse_spacing,
             most_diffusivity: R::of(DIFFUSION / (dt * inverse_square)),
@@ -461,6 +462,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         inverse_square: f64,
     ) -> (f64, Limit) {
         let tiny = 1e-300;
+        let diffusivity = diffusivity.max(gas_diffusivity(&self.setup));
         [
             (COURANT / (self.largest_courant(&self.solids) + tiny), Limit::Solids),
             (MOST_GAS_STEPS as f64 * COURANT / (self.gas_speed + tiny), Limit::Gas),
@@ -668,7 +670,7 @@ fn sweeps<R: Real, const D: usize>(layout: Layout<D>, setup: &Setup) -> Vec<Swee
     let slabs = layout.cells[D - 1];
     let parts = if setup.parallel { threads().min(slabs / LEAST_SLABS).max(1) } else { 1 };
     let end = |n| n * slabs / parts;
-    (0..parts).map(|n| Sweep::new(layout, setup.terms, end(n), end(n + 1))).collect()
+    (0..parts).map(|n| Sweep::new(layout, setup, end(n), end(n + 1))).collect()
 }
 
 /// Does all sweeps, each of its part of `after`.
@@ -684,6 +686,19 @@ fn sweep_all<R: Real, const D: usize>(
     let (below, above) = after.split_at(upper[0].first_slab());
     let (a, b) = join(true, || sweep_all(lower, before, below), || sweep_all(upper, before, above));
     a.or(b)
+}
+
+/// Diffusivity of the gas's momentum \[m²/s\]; 0 if it has no stress.
+fn gas_diffusivity(setup: &Setup) -> f64 {
+    if setup.terms.gas_stress { setup.gas.viscosity / setup.gas.density } else { 0.0 }
+}
+
+/// The first time step, of [`FIRST_STEP`] or what the viscosity of the gas allows.
+fn first_step<const D: usize>(grid: &Grid<D>, setup: &Setup, time_scale: f64) -> (f64, Limit) {
+    let inverse_square: f64 = grid.spacing.iter().map(|h| 1.0 / (h * h)).sum();
+    let most = DIFFUSION / (gas_diffusivity(setup) * inverse_square);
+    let first = FIRST_STEP * time_scale;
+    if most < first { (most, Limit::Diffusion) } else { (first, Limit::Growth) }
 }
 
 /// Slip velocity of the uniform state \[m/s\].
@@ -806,13 +821,17 @@ mod tests {
     }
 
     /// `setup` with terms that are not the default, one set after the other.
-    fn other_terms(setup: Setup) -> [Setup; 3] {
+    fn other_terms(setup: Setup) -> [Setup; 4] {
         use GranularEnergyChoice::Algebraic;
         let terms = setup.terms;
         [
             Setup { terms: Terms { gas_inertia: false, ..terms }, ..setup },
             Setup { terms: Terms { granular_energy: Algebraic, ..terms }, ..setup },
-            Setup { terms: Terms { gas_inertia: false, granular_energy: Algebraic }, ..setup },
+            Setup { terms: Terms { gas_stress: true, ..terms }, ..setup },
+            Setup {
+                terms: Terms { gas_inertia: false, gas_stress: true, granular_energy: Algebraic },
+                ..setup
+            },
         ]
     }
 
@@ -962,6 +981,36 @@ mod tests {
         assert!(whole.0 == in_parts::<f64, 2>([16, 36], 2, dense).0);
         let unlike = in_parts::<f64, 2>([16, 36], 1, Setup { friction: Barrier, ..dense });
         assert!(whole.0 != unlike.0);
+    }
+
+    #[test]
+    fn stress_of_the_gas_stops_its_swaying_at_the_rate_of_its_viscosity() {
+        let base = setup(0.15, 0.0);
+        let (time, wave) = (0.02, std::f64::consts::TAU / 0.01);
+        for gas_inertia in [false, true] {
+            let with = |gas_stress| {
+                let terms = Terms { gas_inertia, gas_stress, ..base.terms };
+                swaying_gas(Setup { terms, ..base }, time).0
+            };
+            let rate = (with(false) / with(true)).ln() / time;
+            let expected = GAS.viscosity / GAS.density * wave * wave;
+            assert!((rate / expected - 1.0).abs() < 0.01, "{gas_inertia}: {rate} {expected}");
+        }
+    }
+
+    #[test]
+    fn viscosity_of_the_gas_limits_the_step() {
+        // Cells of 0.1 mm and a gas a hundred times as viscous.
+        let gas = Gas { viscosity: 1.8e-3, ..GAS };
+        let base = Setup { gas, ..setup(0.1, 0.0) };
+        let terms = Terms { gas_stress: true, ..base.terms };
+        let grid = Grid::new([8e-4, 8e-4], [8, 8]);
+        let mut flow = TwoFluid::<f64, 2>::new(grid, Setup { terms, ..base });
+        let most = DIFFUSION / (gas.viscosity / gas.density * 2e8);
+        for _ in 0..100 {
+            assert!(flow.step(f64::INFINITY).unwrap().dt <= most * (1.0 + 1e-12));
+        }
+        assert_eq!(flow.next_dt.1, Limit::Diffusion);
     }
 
     /// The most solids in a cell of a dense bed of coarse powder, in `steps` steps.

@@ -229,6 +229,7 @@ fn variants(physics: &Physics, cells: [usize; 2], quick: bool) -> Vec<Variant> {
     vary("no friction", &|p| p.friction = FrictionChoice::None);
     vary("friction: Johnson-Jackson", &|p| p.friction = FrictionChoice::JohnsonJackson);
     vary("no gas inertia", &|p| p.terms.gas_inertia = false);
+    vary("gas stress", &|p| p.terms.gas_stress = true);
     vary("algebraic granular energy", &|p| {
         p.terms.granular_energy = GranularEnergyChoice::Algebraic;
     });

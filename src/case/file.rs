@@ -26,7 +26,15 @@ pub(super) const SECTIONS: [(&str, &[&str]); 6] = [
     ("box", &["size", "cells", "cell", "solids_fraction"]),
     (
         "physics",
-        &["drag", "radial_distribution", "friction", "granular_energy", "gas_inertia", "gravity"],
+        &[
+            "drag",
+            "radial_distribution",
+            "friction",
+            "granular_energy",
+            "gas_inertia",
+            "gas_stress",
+            "gravity",
+        ],
     ),
     ("filter", &["widths", "markers", "solids_fraction_bin", "slip_bin"]),
     ("run", &["duration", "sample_interval", "seed", "perturbation", "precision"]),
@@ -333,6 +341,7 @@ pub(super) struct PhysicsFile {
     pub friction: Option<Typed<FrictionChoice>>,
     pub granular_energy: Option<Typed<GranularEnergyChoice>>,
     pub gas_inertia: Option<Typed<bool>>,
+    pub gas_stress: Option<Typed<bool>>,
     pub gravity: Option<Typed<f64>>,
 }
 
@@ -432,6 +441,7 @@ pub(super) fn read(text: &str, problems: &mut Problems<'_>) -> Option<CaseFile> 
             friction: section.optional("friction", choice),
             granular_energy: section.optional("granular_energy", choice),
             gas_inertia: section.optional("gas_inertia", switch),
+            gas_stress: section.optional("gas_stress", switch),
             gravity: section.optional("gravity", number),
         }
     };

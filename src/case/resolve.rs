@@ -120,6 +120,7 @@ fn resolve_terms(file: &CaseFile) -> Terms {
             .as_ref()
             .map_or(default.granular_energy, |typed| typed.value),
         gas_inertia: value(&typed.gas_inertia, default.gas_inertia),
+        gas_stress: value(&typed.gas_stress, default.gas_stress),
     }
 }
 

@@ -14,8 +14,8 @@ use super::granular;
 use super::imposed::Sources;
 use super::stress::{self, around, pair, pairs, shear_lines};
 use super::transport::{self, Line, Share, Wanted};
-use super::{MOST_GAS_STEPS, Medium};
-use crate::case::{GranularEnergyChoice, Terms};
+use super::{MOST_GAS_STEPS, Medium, Setup};
+use crate::case::GranularEnergyChoice;
 use crate::field::{Faces, Field, Layout, Lines, Ring, Row, Slabs, fill};
 use crate::real::Real;
 use crate::rows::{max_abs, per_axis};
@@ -36,6 +36,8 @@ pub(super) struct Before<'a, R, const D: usize> {
     pub(super) gas_steps: usize,
     /// Whether granular temperature is carried by the solids and conducted.
     pub(super) transports_heat: bool,
+    /// Whether the gas has a viscous stress.
+    pub(super) gas_stress: bool,
     /// dt/h along each axis \[s/m\].
     pub(super) courant: [R; D],
     /// 1/h along each axis \[1/m\].
@@ -161,13 +163,22 @@ pub(super) struct Sweep<R, const D: usize> {
     limit: Ring<R, D>,
     /// Where rows of other parts go.
     spare: Vec<Vec<R>>,
+    /// τ_aa and τ_ab of the gas, as those of the solids, where its stress is asked for \[Pa\].
+    gas_normal: [Ring<R, D>; D],
+    gas_shear: Vec<Ring<R, D>>,
+    /// Its viscosity and bulk viscosity (none), the same everywhere: a row of each \[Pa·s\].
+    gas_viscosities: [Vec<R>; 2],
+    /// Velocities of a row, pushed by the stress of the gas.
+    stressed: [Vec<R>; 2],
     /// Velocities of a row, with what verification adds.
     pushed: [Vec<R>; 2],
 }
 
 impl<R: Real, const D: usize> Sweep<R, D> {
-    /// For the slabs from `begin` to before `end` of a box; `terms` are those of the steps.
-    pub(super) fn new(layout: Layout<D>, terms: Terms, begin: usize, end: usize) -> Self {
+    /// For the slabs from `begin` to before `end` of a box; terms and viscosity of the gas are those
+    /// of the steps' `setup`.
+    pub(super) fn new(layout: Layout<D>, setup: &Setup, begin: usize, end: usize) -> Self {
+        let terms = setup.terms;
         let ring = |slabs| Ring::new(layout, slabs);
         let rings = |slabs| std::array::from_fn(|_| Ring::new(layout, slabs));
         let several = |n, slabs| (0..n).map(|_| Ring::new(layout, slabs)).collect();
@@ -203,6 +214,14 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             total: rings(2),
             limit: ring(1),
             spare: vec![vec![R::ZERO; layout.most_elements()]; 3],
+            gas_normal: rings(if terms.gas_stress { 4 } else { 1 }),
+            gas_shear: several(pairs, if terms.gas_stress { 2 } else { 1 }),
+            gas_viscosities: [setup.gas.viscosity, 0.0].map(|viscosity| {
+                vec![R::of(viscosity); if terms.gas_stress { layout.most_elements() } else { 0 }]
+            }),
+            stressed: std::array::from_fn(|_| {
+                vec![R::ZERO; if terms.gas_stress { layout.most_elements() } else { 0 }]
+            }),
             pushed: std::array::from_fn(|_| vec![R::ZERO; layout.most_elements()]),
         }
     }
@@ -264,6 +283,11 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 if slab >= begin - 1 {
                     self.shear_heating(before, slab);
                 }
+            }
+            if before.gas_stress
+                && let Some(slab) = due(2 * m + 1, 1, 2)
+            {
+                self.gas_stress(before, slab);
             }
             if let Some(slab) = due(2 * m + 2, 1, 1) {
                 fastest.sound_squared =
@@ -576,6 +600,31 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         }
     }
 
+    /// Viscous stress of the gas.
+    fn gas_stress(&mut self, before: &Before<'_, R, D>, slab: isize) {
+        let h = before.inverse_spacing;
+        let gas = &self.gas[before.last_gas_step()];
+        let [mu, bulk] = self.gas_viscosities.each_ref().map(Vec::as_slice);
+        for row in before.rows(slab) {
+            for axis in 0..D {
+                let u = both_faces(gas, row);
+                fill!(
+                    before.layout,
+                    [normal = self.gas_normal[axis].line(row)],
+                    stress::normal_row(normal, axis, u, mu, bulk, h)
+                );
+            }
+            for (at, (a, b)) in pairs::<D>() {
+                let u = shear_lines(gas, (a, b), row);
+                fill!(
+                    before.layout,
+                    [shear = self.gas_shear[at].line(row)],
+                    stress::shear_row(shear, u, [mu; 4], [h[a], h[b]])
+                );
+            }
+        }
+    }
+
     /// Balance of granular energy over the step: conduction and viscous heating explicit,
     /// dissipation, compression and production by slip implicit in each cell; or the temperature
     /// at which the sources balance. Leaves the temperature
@@ -654,6 +703,25 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let spacing = before.inverse_spacing[axis];
                 let buoyancy = if axis + 1 == D { before.buoyancy } else { [R::ZERO; 2] };
                 let mut velocities = [self.sheared[axis].row(row), gas[axis].row(row)];
+                if before.gas_stress {
+                    let stress: [[&[R]; 2]; D] = per_axis!(D, |b| {
+                        if b == axis {
+                            [self.gas_normal[axis].row(below), self.gas_normal[axis].row(row)]
+                        } else {
+                            let shear = &self.gas_shear[pair(axis, b)];
+                            [shear.row(row), shear.row(row.near(b, 1))]
+                        }
+                    });
+                    let [us, ug] = &mut self.stressed;
+                    let n = velocities[0].len();
+                    let (us, ug) = (&mut us[..n], &mut ug[..n]);
+                    let phi = [self.phi.row(below), self.phi.row(row)];
+                    let Medium { solids_density, gas_density, .. } = *before.medium;
+                    let impulses = [before.dt / solids_density, before.dt / gas_density];
+                    let h = before.inverse_spacing;
+                    stress::push_row(us, ug, velocities, stress, phi, impulses, h);
+                    velocities = [us, ug];
+                }
                 if let Some(sources) = before.sources {
                     sources.push(&mut self.pushed, velocities, axis, row, before.dt);
                     velocities = self.pushed.each_ref().map(Vec::as_slice);
