@@ -38,6 +38,7 @@ pub(super) trait ContactRow<R>: Send + Sync {
     /// that are not nearly empty \[m²/s\]. Of `bounds` the first is what bounds the diffusivities of a
     /// nearly empty cell \[m²/s\], the second the solids fraction from which on a cell is none. The
     /// conductivity is made, and counts as a diffusivity, only if it `conducts`.
+    #[allow(clippy::too_many_arguments)]
     fn kinetic(
         &self,
         outputs: [&mut [R]; 5],
