@@ -21,6 +21,9 @@ const SMOOTHED: [f64; 2] = [0.45, 2.0];
 /// Interval and degree on the coarsest grid, which nothing coarser helps.
 const COARSEST: ([f64; 2], usize) = ([0.08, 2.0], 8);
 
+/// Residual, in units of round-off of the first, below which one that stops falling will not fall.
+const ROUND_OFF: f64 = 1e4;
+
 /// How a solve went.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Solve {
@@ -375,7 +378,7 @@ impl<R: Real, const D: usize> Poisson<R, D> {
     }
 
     /// Solves for `x`, from what it is, until the largest residual is at most `tolerance`, or until
-    /// it stops falling, or for at most `most` iterations. The mean of `right` must vanish; that of
+    /// round-off stops it, or for at most `most` iterations. The mean of `right` must vanish; that of
     /// `x` is left at what it comes to.
     pub fn solve(
         &mut self,
@@ -398,9 +401,12 @@ impl<R: Real, const D: usize> Poisson<R, D> {
             .f64();
         let (mut alpha, mut old) = (0.0, 1.0);
         let mut best = worst;
+        // A residual that does not fall for a while is at its end only there: conjugate gradients
+        // lower another norm than the largest.
+        let round_off = ROUND_OFF * R::EPSILON.f64() * worst;
         let mut stalled = 0;
         for iteration in 0..most {
-            if worst <= tolerance || stalled >= 8 || !worst.is_finite() {
+            if worst <= tolerance || (stalled >= 8 && worst < round_off) || !worst.is_finite() {
                 return Solve { iterations: iteration, residual: worst };
             }
             self.precondition();

@@ -34,6 +34,8 @@ pub trait Real:
     const ZERO: Self;
     /// 1.
     const ONE: Self;
+    /// Distance from 1 to the next larger number.
+    const EPSILON: Self;
 
     /// The nearest number to `x` in this precision.
     fn of(x: f64) -> Self;
@@ -106,6 +108,7 @@ macro_rules! real {
         impl Real for $t {
             const ZERO: Self = 0.0;
             const ONE: Self = 1.0;
+            const EPSILON: Self = $t::EPSILON;
 
             #[inline(always)]
             fn of(x: f64) -> Self {

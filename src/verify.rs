@@ -5,11 +5,18 @@
 //! is a function that returns rows; a row is one number, what it must be, and from where that is
 //! known.
 
+mod cooling;
 mod dual;
+mod growth;
 mod manufactured;
+mod pressure;
+mod symmetry;
 
-use crate::two_fluid::StepError;
+use crate::case::{DragChoice, FrictionChoice, RadialDistributionChoice};
+use crate::laws::scales::{Gas, Powder};
+use crate::two_fluid::Setup;
 use serde::Serialize;
+use std::error::Error;
 use std::fmt;
 
 /// What a number must be.
@@ -106,11 +113,38 @@ pub enum Effort {
 /// A check: its name, what it asks, and the function that does it.
 struct Check {
     name: &'static str,
-    run: fn(Effort) -> Result<Vec<Row>, StepError>,
+    run: fn(Effort) -> Checked,
+}
+
+/// The rows of a check, or why it could not be done.
+type Checked = Result<Vec<Row>, Box<dyn Error>>;
+
+/// The founding paper's powder in air, uniform.
+fn setup(solids_fraction: f64) -> Setup {
+    Setup {
+        powder: Powder { diameter: 75e-6, density: 1500.0, restitution: 0.9, max_packing: 0.65 },
+        gas: Gas { density: 1.3, viscosity: 1.8e-5 },
+        gravity: 9.81,
+        drag: DragChoice::WenYu,
+        radial_distribution: RadialDistributionChoice::Princeton,
+        friction: FrictionChoice::Barrier,
+        solids_fraction,
+        perturbation: 0.0,
+        seed: 0,
+        parallel: false,
+    }
 }
 
 /// All checks.
-const CHECKS: [Check; 1] = [Check { name: "manufactured", run: manufactured::check }];
+const CHECKS: [Check; 7] = [
+    Check { name: "manufactured", run: manufactured::check },
+    Check { name: "growth", run: growth::check },
+    Check { name: "cooling", run: cooling::check },
+    Check { name: "symmetry", run: symmetry::check },
+    Check { name: "conservation", run: symmetry::conservation },
+    Check { name: "moving-frame", run: symmetry::moving_frame },
+    Check { name: "pressure", run: pressure::check },
+];
 
 /// What was verified.
 #[derive(Clone, Debug, Serialize)]

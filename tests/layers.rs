@@ -40,7 +40,7 @@ const ALLOWED: &[(&str, &str)] = &[
     ),
     ("bench", "blocking case filter fine grid laws real rows series simulate statistics two_fluid"),
     ("hard", "case grid laws real two_fluid"),
-    ("verify", "case grid laws real two_fluid"),
+    ("verify", "case field grid laws poisson real stability two_fluid"),
 ];
 
 /// Outside dependencies that only some modules may name.

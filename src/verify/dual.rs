@@ -142,6 +142,7 @@ impl<T: Real, const N: usize> PartialOrd for Dual<T, N> {
 impl<T: Real, const N: usize> Real for Dual<T, N> {
     const ZERO: Self = Self { value: T::ZERO, gradient: [T::ZERO; N] };
     const ONE: Self = Self { value: T::ONE, gradient: [T::ZERO; N] };
+    const EPSILON: Self = Self { value: T::EPSILON, gradient: [T::ZERO; N] };
 
     fn of(x: f64) -> Self {
         Self { value: T::of(x), ..Self::ZERO }

@@ -9,7 +9,7 @@
 //! of granular energy.
 
 use super::dual::{Dual, Smooth};
-use super::{Effort, Expected, Row};
+use super::{Checked, Effort, Expected, Row};
 use crate::case::{DragChoice, FrictionChoice, RadialDistributionChoice, Terms};
 use crate::case::{with_drag, with_radial_distribution};
 use crate::grid::Grid;
@@ -324,7 +324,7 @@ const TRAVELLED: f64 = 0.25;
 const MOST_PARTS: usize = 64;
 
 /// Order in space, in time, and of both together at the simulator's own step.
-pub(super) fn check(effort: Effort) -> Result<Vec<Row>, StepError> {
+pub(super) fn check(effort: Effort) -> Checked {
     let mut rows = Vec::new();
     let last = match effort {
         Effort::Quick => 1,
@@ -351,7 +351,13 @@ pub(super) fn check(effort: Effort) -> Result<Vec<Row>, StepError> {
         // error in time; a step that falls as the spacing does not.
         let parts = parts[last + 1];
         let errors = refine(|n| solution.errors(16 << n, parts, TRAVELLED), last)?;
-        rows.extend(orders(&format!("2-D, step as spacing ({parts} a cell)"), &errors, 1.9));
+        let name = format!("2-D, step as spacing ({parts} a cell)");
+        rows.extend(orders(&name, &errors, 1.0).into_iter().map(|row| {
+            let errors = row.detail.clone();
+            row.with(format!(
+                "first order in time, second in space: the error in time dominates; {errors}"
+            ))
+        }));
     }
     Ok(rows)
 }
@@ -385,7 +391,11 @@ fn in_time(parts: usize) -> Result<Vec<Row>, StepError> {
             quantities::<2>().map(distance).collect()
         })
         .collect();
-    Ok(orders("2-D, in time", &errors, 0.9))
+    let rows = orders("2-D, in time", &errors, 0.9).into_iter().map(|row| {
+        let errors = row.detail.clone();
+        row.with(format!("the coupling of the phases is first order in time; {errors}"))
+    });
+    Ok(rows.collect())
 }
 
 /// A row for each of φ, T, p, u_s and u_g: the order between the last two of `errors`, each twice
