@@ -39,4 +39,5 @@ pub mod output;
 pub mod pipeline;
 pub mod progress;
 pub mod summary;
+pub mod terms;
 pub mod verify;

@@ -32,7 +32,8 @@ const ALLOWED: &[(&str, &str)] = &[
     ("output", ""),
     ("progress", "series simulate"),
     ("checkpoint", "case filtered output simulate stability statistics"),
-    ("summary", "case laws model rows series simulate stability table"),
+    ("summary", "case laws model rows series simulate stability table terms"),
+    ("terms", "case laws"),
     (
         "pipeline",
         "bench case checkpoint figure fit forms laws model output progress series simulate stability statistics summary table",
