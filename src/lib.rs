@@ -45,4 +45,5 @@ pub mod pipeline;
 pub mod pool;
 pub mod progress;
 pub mod summary;
+pub mod terms;
 pub mod verify;

@@ -18,6 +18,7 @@ use favre::hard;
 use favre::output::Output;
 use favre::pipeline::{self, RunError, RunOptions};
 use favre::pool::Pool;
+use favre::terms::terms;
 use favre::verify::{self, Effort};
 
 use cli::{Cli, Command};
@@ -75,7 +76,11 @@ fn run(args: &cli::Run) -> Result<(), Failure> {
     }
     if args.print_case {
         let untouched = args.case.is_none() && args.duration.is_none();
-        return write(if untouched { DEFAULT.to_owned() } else { case.to_toml() });
+        if untouched {
+            return write(DEFAULT.to_owned());
+        }
+        let terms: String = terms(&case).iter().map(|term| format!("# {term}\n")).collect();
+        return write(format!("{}\n{terms}", case.to_toml()));
     }
     if !args.quiet {
         for warning in case.warnings() {

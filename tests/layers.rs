@@ -38,7 +38,8 @@ const ALLOWED: &[(&str, &str)] = &[
     ("output", ""),
     ("progress", "series simulate"),
     ("checkpoint", "binary case output simulate stability sums"),
-    ("summary", "case laws model rows series simulate stability table"),
+    ("summary", "case laws model rows series simulate stability table terms"),
+    ("terms", "case laws"),
     (
         "pipeline",
         "bench case checkpoint figure fit forms laws model output pool progress series simulate stability statistics summary sums table",
