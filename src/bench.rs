@@ -4,6 +4,7 @@ pub mod error;
 
 use crate::case::{Case, CaseError, DEFAULT, Precision};
 use crate::filter::FilterError;
+use crate::filtered::{QUANTITIES, Quantity};
 use crate::fine::FineFields;
 use crate::grid::Grid;
 use crate::laws::drag::DragLaw;
@@ -62,9 +63,33 @@ pub struct Report {
     pub stages: [&'static str; STAGES.len()],
     /// The measurements.
     pub measurements: Vec<Measurement>,
+    /// What filtering costs.
+    pub filtering: Vec<Filtering>,
     /// Memory of the simulator.
     pub memory: Vec<Memory>,
 }
+
+/// What filtering costs: all quantities at eight widths, one thread.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Filtering {
+    /// Cells along each axis.
+    pub cells: Vec<usize>,
+    /// Filter widths \[cells\].
+    pub widths: Vec<usize>,
+    /// Quantities.
+    pub quantities: usize,
+    /// Core time of a sample, from the simulator's fields to the sums, median \[ms\].
+    pub sample: f64,
+    /// Of it to bring the simulator's fields to the cells' centres \[ms\].
+    pub fields: f64,
+    /// Cells x quantities x widths per second of filtering \[million/s\].
+    pub throughput: f64,
+    /// Core time of samples at the default interval over that of the steps (f64) between them.
+    pub share: f64,
+}
+
+/// Filter widths of [`Filtering`] \[cells\].
+const WIDTHS: [usize; 8] = [2, 4, 6, 8, 12, 16, 24, 32];
 
 /// Memory that a simulator adds to the process.
 #[derive(Clone, Debug, serde::Serialize)]
@@ -120,6 +145,24 @@ impl fmt::Display for Report {
             for stage in m.stages {
                 write!(f, " {:>10.2}", 1e3 * stage)?;
             }
+        }
+        let quantities = self.filtering.first().map_or(0, |filtering| filtering.quantities);
+        write!(
+            f,
+            "\n\nfiltering {quantities} quantities, widths of {WIDTHS:?} cells, one thread:\n\
+             cells       ms per sample (fields)  million cells x quantities x widths per s  \
+             share of a run's steps"
+        )?;
+        for m in &self.filtering {
+            write!(
+                f,
+                "\n{:<11} {:>13.2} {:>8} {:>43.0} {:>22.1} %",
+                grid(&m.cells),
+                m.sample,
+                format!("({:.2})", m.fields),
+                m.throughput,
+                100.0 * m.share,
+            )?;
         }
         writeln!(f, "\n\nmemory:")?;
         for (n, memory) in self.memory.iter().enumerate() {
@@ -200,6 +243,7 @@ pub fn measure(quick: bool) -> Result<Report, BenchError> {
         measurements.push(one::<f64, 2>(&case, &flat, [1; 2], 1, statistics, effort)?);
         measurements.push(one::<f32, 2>(&case, &flat, [1; 2], 1, statistics, effort)?);
     }
+    let mut found = vec![filtering(&case, &flat, [1; 2], &measurements[0], effort)?];
     if !quick {
         for threads in [1, 2] {
             measurements.push(one::<f64, 2>(&case, &flat, [4; 2], threads, false, effort)?);
@@ -211,13 +255,16 @@ pub fn measure(quick: bool) -> Result<Report, BenchError> {
             measurements.push(one::<f64, 3>(&case, &solid, [2; 3], threads, false, effort)?);
             measurements.push(one::<f32, 3>(&case, &solid, [2; 3], threads, false, effort)?);
         }
+        let steps = measurements.iter().find(|m| m.cells.len() == 3);
+        let steps = steps.unwrap_or(&measurements[0]);
+        found.push(filtering(&case, &solid, [2; 3], steps, effort)?);
     }
     let simd = match simd_level() {
         Simd::Baseline => "baseline SIMD",
         Simd::Avx2 => "AVX2",
         Simd::Avx512 => "AVX-512",
     };
-    Ok(Report { simd, stages: STAGES, measurements, memory })
+    Ok(Report { simd, stages: STAGES, measurements, filtering: found, memory })
 }
 
 /// Memory in use of a box of `edge` cells along each axis, in either precision.
@@ -389,6 +436,53 @@ impl<const D: usize> Watch<D> {
         }
         Ok(report)
     }
+}
+
+/// Times samples of the box that copies of `from` fill; `steps` says what its steps cost.
+fn filtering<const D: usize>(
+    case: &Case,
+    from: &TwoFluid<f64, D>,
+    times: [usize; D],
+    steps: &Measurement,
+    effort: Effort,
+) -> Result<Filtering, BenchError> {
+    let mut flow = from.tiled::<f64>(times, false);
+    let grid = flow.grid();
+    let mut sampling = sampling(case, false);
+    sampling.widths = WIDTHS.iter().map(|&width| width as f64 * grid.spacing[0]).collect();
+    let law = case.physics.drag.law(&case.gas, &case.powder);
+    let mut sampler = Sampler::new(grid, law, sampling)?;
+    let mut fine = FineFields::zeros(grid);
+    let (mut fields, mut samples) = (Vec::new(), Vec::new());
+    // The first fills caches and makes the sums' room.
+    let begin = Instant::now();
+    while samples.len() <= effort.rounds || begin.elapsed().as_secs_f64() < effort.round {
+        flow.step(f64::INFINITY)?;
+        let core = ProcessTime::now();
+        flow.fields(&mut fine);
+        fields.push(core.elapsed().as_secs_f64());
+        sampler.sample(&fine);
+        samples.push(core.elapsed().as_secs_f64());
+    }
+    let median = |values: &mut Vec<f64>| {
+        values.remove(0);
+        values.sort_by(f64::total_cmp);
+        values[values.len() / 2]
+    };
+    let (fields, sample) = (median(&mut fields), median(&mut samples));
+    let reported = |quantity: &&Quantity| D == 3 || !quantity.only_3d;
+    let quantities = QUANTITIES.iter().filter(reported).count();
+    let numbers = grid.len() * quantities * WIDTHS.len();
+    let between = steps.per_simulated_second * case.run.sample_interval;
+    Ok(Filtering {
+        cells: grid.cells.to_vec(),
+        widths: WIDTHS.to_vec(),
+        quantities,
+        sample: 1e3 * sample,
+        fields: 1e3 * fields,
+        throughput: 1e-6 * numbers as f64 / (sample - fields),
+        share: sample / between,
+    })
 }
 
 /// Memory of this process that is in use \[bytes\], where the system tells.

@@ -22,14 +22,24 @@ pub(crate) fn write_file(
     format: u32,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> io::Result<()> {
-    let file = Summed { inner: File::create(path)?, crc: Crc::new() };
-    let mut file = BufWriter::with_capacity(BUFFER, file);
+    let mut file = File::create(path)?;
+    write_to(&mut file, magic, format, write)?;
+    file.sync_all()
+}
+
+/// Writes the same to an open file.
+pub(crate) fn write_to(
+    to: &mut dyn Write,
+    magic: &[u8; 8],
+    format: u32,
+    write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+) -> io::Result<()> {
+    let mut file = BufWriter::with_capacity(BUFFER, Summed { inner: to, crc: Crc::new() });
     file.write_all(magic)?;
     file.write_all(&format.to_le_bytes())?;
     write(&mut file)?;
-    let Summed { inner: mut file, crc } = file.into_inner().map_err(|error| error.into_error())?;
-    file.write_all(&crc.value().to_le_bytes())?;
-    file.sync_all()
+    let Summed { inner, crc } = file.into_inner().map_err(|error| error.into_error())?;
+    inner.write_all(&crc.value().to_le_bytes())
 }
 
 /// What may be wrong with a file, whichever it is.

@@ -19,8 +19,10 @@
 //! | | `solids_fraction` | mean solids fraction, or a list: one box each, pooled | 0 < φ < φ_max | - |
 //! | `[physics]` | `drag` | fine-grid drag law | `"wen-yu"`, `"gidaspow"`, `"beetstra"`, `"tenneti"` | `"wen-yu"` |
 //! | | `radial_distribution` | how much crowding makes particles collide | `"princeton"`, `"carnahan-starling"`, `"ma-ahmadi"` | `"princeton"` |
-//! | | `friction` | pressure of enduring contacts | `"barrier"`, `"none"`, `"schaeffer"`, `"johnson-jackson"`, `"srivastava-sundaresan"` | `"barrier"` |
-//! | | `granular_energy` | how the granular temperature is found | `"transport"` | `"transport"` |
+//! | | `friction` | pressure of enduring contacts, and their viscosity if the law has one | `"barrier"`, `"none"`, `"schaeffer"`, `"johnson-jackson"`, `"srivastava-sundaresan"` | `"barrier"` |
+//! | | `granular_energy` | how the granular temperature is found | `"transport"`, `"algebraic"` | `"transport"` |
+//! | | `gas_inertia` | whether the gas carries momentum along, as in [`Terms`] | `true`, `false` | `true` |
+//! | | `gas_stress` | whether the gas's viscosity acts between cells, as in [`Terms`] | `true`, `false` | `false` |
 //! | | `gravity` | g [m/s²] | 1e-3 to 1e4 | 9.81 |
 //! | `[filter]` | `widths` | edges of the box filters | whole cells along every axis, from 2 cells to half the box | 4, 8, 16 and 32 cells as far as they fit |
 //! | | `markers` | what results are binned by | `"solids_fraction"`, and `"slip"` | `["solids_fraction"]` |
@@ -98,10 +100,36 @@ pub struct Physics {
     pub radial_distribution: RadialDistributionChoice,
     /// `friction`: the pressure of enduring contacts.
     pub friction: FrictionChoice,
-    /// `granular_energy`: how the granular temperature is found.
-    pub granular_energy: GranularEnergyChoice,
+    /// What of the equations is modelled.
+    pub terms: Terms,
     /// `gravity` [m/s²], a positive number.
     pub gravity: f64,
+}
+
+/// Terms of the equations that a case may leave out. What is left out costs nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Terms {
+    /// `granular_energy`: how the granular temperature is found.
+    pub granular_energy: GranularEnergyChoice,
+    /// `gas_inertia`: whether the gas carries its momentum along, ∇·(ρ_g (1-φ) u_g u_g), which limits
+    /// the time step. Its local part, ∂(ρ_g (1-φ) u_g)/∂t, is always there: it is all that a cell
+    /// without solids has against the pressure. Without the other the frame matters (it is that of
+    /// zero mixture momentum), and momentum is kept all the same.
+    pub gas_inertia: bool,
+    /// `gas_stress`: whether the deviatoric stress of the gas is there, τ = 2 μ_g S, S of u_g, with the
+    /// molecular μ_g. It pushes each phase by its fraction, as the pressure does.
+    pub gas_stress: bool,
+}
+
+impl Default for Terms {
+    /// What a case gets that chooses nothing.
+    fn default() -> Self {
+        Self {
+            granular_energy: GranularEnergyChoice::Transport,
+            gas_inertia: true,
+            gas_stress: false,
+        }
+    }
 }
 
 /// Fine-grid drag laws.
@@ -184,7 +212,7 @@ macro_rules! with_radial_distribution {
 }
 pub(crate) use with_radial_distribution;
 
-/// Frictional pressures.
+/// Frictional pressures; the last three come with a viscosity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FrictionChoice {
@@ -235,6 +263,11 @@ pub(crate) use with_friction;
 pub enum GranularEnergyChoice {
     /// Its balance equation is solved.
     Transport,
+    /// What makes it and what dissipates it balance in each cell, as of
+    /// [`balanced_temperature`](crate::laws::kinetic_theory::balanced_temperature): neither the
+    /// solids nor conduction carry it, and none is kept. Shear and compression heat by the
+    /// temperature of the step before.
+    Algebraic,
 }
 
 /// `[filter]`: which filters, and by what their results are binned.
@@ -549,6 +582,8 @@ impl Case {
              radial_distribution = {}\n\
              friction = {}\n\
              granular_energy = {}\n\
+             gas_inertia = {}\n\
+             gas_stress = {}\n\
              gravity = {:?}\n\
              \n[filter]\n\
              widths = {:?}\n\
@@ -576,7 +611,9 @@ impl Case {
             quoted(&physics.drag),
             quoted(&physics.radial_distribution),
             quoted(&physics.friction),
-            quoted(&physics.granular_energy),
+            quoted(&physics.terms.granular_energy),
+            physics.terms.gas_inertia,
+            physics.terms.gas_stress,
             physics.gravity,
             filter.widths,
             quoted(&filter.markers),
@@ -636,6 +673,8 @@ drag = "wen-yu"
 radial_distribution = "princeton"
 friction = "barrier"
 granular_energy = "transport"
+gas_inertia = true
+gas_stress = false
 gravity = 9.81
 [filter]
 widths = [0.005, 0.01, 0.02, 0.04]
@@ -851,6 +890,7 @@ precision = "f64"
                 "barrier",
                 &["barrier", "none", "schaeffer", "johnson-jackson", "srivastava-sundaresan"],
             ),
+            ("granular_energy", "transport", &["transport", "algebraic"]),
         ] {
             let line = format!("{key} = \"{default}\"");
             for name in names {
@@ -865,6 +905,21 @@ precision = "f64"
             }
         }
         assert_eq!(DragChoice::WenYu.to_string(), "wen-yu");
+    }
+
+    #[test]
+    fn terms_are_switched_by_true_and_false() {
+        for (key, default) in [("gas_inertia", true), ("gas_stress", false)] {
+            let line = format!("{key} = {default}");
+            let case = text_with(&line, &format!("{key} = {}", !default)).unwrap();
+            assert!(case.to_toml().contains(&format!("\n{key} = {}\n", !default)));
+            assert_ne!(case.physics.terms, Terms::default());
+            assert_eq!(Case::parse(&case.to_toml(), "test").unwrap(), case);
+            let refused = problem(&line, &format!("{key} = \"off\""));
+            assert_eq!(refused.key, format!("[physics] {key}"));
+            assert_eq!(refused.why, "true or false is expected, not text: remove the quotes");
+            assert!(problem(&line, &format!("{key} = 0")).why.ends_with("not a number"));
+        }
     }
 
     #[test]

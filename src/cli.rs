@@ -39,6 +39,45 @@ Examples:
 Ctrl-C ends a run, leaves nothing half-written and keeps its state beside the output folder, in
 DIR.checkpoint. Exit status: 0 done, 1 failed while running, 2 misuse, 130 interrupted.";
 
+const FILTER_EXAMPLES: &str = "\
+Examples:
+  favre filter favre-out/one favre-out/two          one bin table of two runs, from their sums
+  favre filter favre-out/seed-* --out all           of several seeds; a pool can be pooled again
+  favre simulate my-powder.toml --out trial         a run that keeps its fields, as .vti
+  favre filter trial/fields_0.15                    the same bins again, from the snapshots
+  favre filter case --map map.toml                  all times of an OpenFOAM case
+  favre filter out_*.vtu --map map.toml             as the map names the arrays
+  favre filter gas_*.vti parts_*.csv --map map.toml particles, deposited on the gas's grid
+
+The table is of all runs, as if they had been boxes of one. disagreements.csv lists the bins in which
+boxes of different mean solids fraction are further apart than their 95 % intervals allow.
+
+A map names arrays, or formulae of them, and the powder and the gas:
+
+  [fields]
+  solids_fraction = \"1 - EP_g\"
+  solids_velocity = [\"U_s1\", \"V_s1\", \"W_s1\"]
+  gas_velocity = [\"U_g\", \"V_g\", \"W_g\"]
+  pressure = \"P_g\"
+  [grid]
+  vertical = \"y\"
+  periodic = [\"x\", \"z\"]
+  [powder]
+  diameter = 75e-6
+  density = 1500.0
+  restitution = 0.9
+  max_packing = 0.65
+  [gas]
+  density = 1.3
+  viscosity = 1.8e-5
+  [filter]
+  widths = [0.005, 0.01]
+
+Read are .vti .vtr .vtu .vtp (.pvd), .npy .npz, .csv, OpenFOAM cases and time folders. A folder, a
+.pvd or a case is a run of its own; single files are one run.
+
+Exit status: 0 done, 1 failed, 2 misuse, 130 interrupted.";
+
 const STABILITY_EXAMPLES: &str = "\
 Examples:
   favre stability my-powder.toml            table and figure go to favre-out/my-powder-stability
@@ -62,7 +101,7 @@ pub enum Command {
     Run(Run),
     /// As `run`, and keep snapshots of the fields (.vti, or what the case says)
     Simulate(Run),
-    /// Filter and bin fields on disk: one's own snapshots, or anyone's by a map
+    /// Bin fields on disk, one's own or anyone's, or put runs together from their sums
     Filter(Filter),
     /// Growth of waves on a case's uniform state, and the grid and box they ask for
     Stability(Stability),
@@ -111,52 +150,20 @@ pub struct Run {
     pub duration: Option<String>,
 }
 
-const FILTER_EXAMPLES: &str = "\
-Examples:
-  favre simulate my-powder.toml --out trial         a run that keeps its fields, as .vti
-  favre filter trial/fields_0.15                    the same bins again, from the snapshots
-  favre filter case --map map.toml                  all times of an OpenFOAM case
-  favre filter out_*.vtu --map map.toml             as the map names the arrays
-  favre filter gas_*.vti parts_*.csv --map map.toml particles, deposited on the gas's grid
-
-A map names arrays, or formulae of them, and the powder and the gas:
-
-  [fields]
-  solids_fraction = \"1 - EP_g\"
-  solids_velocity = [\"U_s1\", \"V_s1\", \"W_s1\"]
-  gas_velocity = [\"U_g\", \"V_g\", \"W_g\"]
-  pressure = \"P_g\"
-  [grid]
-  vertical = \"y\"
-  periodic = [\"x\", \"z\"]
-  [powder]
-  diameter = 75e-6
-  density = 1500.0
-  restitution = 0.9
-  max_packing = 0.65
-  [gas]
-  density = 1.3
-  viscosity = 1.8e-5
-  [filter]
-  widths = [0.005, 0.01]
-
-Read are .vti .vtr .vtu .vtp (.pvd), .npy .npz, .csv, OpenFOAM cases and time folders. A folder, a
-.pvd or a case is a run of its own; single files are one run. Exit status: 0 done, 1 failed, 2 misuse.";
-
 /// `favre filter`.
 #[derive(Args, Debug)]
 #[command(after_help = FILTER_EXAMPLES)]
 pub struct Filter {
-    /// Files or folders with resolved fields
-    #[arg(value_name = "FIELDS", required = true)]
-    pub fields: Vec<PathBuf>,
+    /// Files or folders with resolved fields; or folders of runs, or their sums.favre
+    #[arg(value_name = "FIELDS|RUN", required = true)]
+    pub paths: Vec<PathBuf>,
     /// What the arrays are, and what the powder and the gas; Favre's own snapshots need none
     #[arg(long, value_name = "MAP.toml")]
     pub map: Option<PathBuf>,
-    /// Take statistics from this time on [s]
+    /// Take statistics of fields from this time on [s]
     #[arg(long, value_name = "T", allow_hyphen_values = true)]
     pub from: Option<f64>,
-    /// Folder for the results [default: favre-out/filter]
+    /// Folder for the results [default: favre-out/filter, of runs favre-out/pool]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Replace earlier results, once the new ones are complete
@@ -168,7 +175,7 @@ pub struct Filter {
     /// Say nothing but errors
     #[arg(long, short)]
     pub quiet: bool,
-    /// Print the summary as JSON
+    /// Print what was found as JSON
     #[arg(long)]
     pub json: bool,
 }

@@ -361,10 +361,14 @@ terms! {
     ShearRateSquared,
     /// S³ \[1/s³\].
     ShearRateCubed,
+    /// φ̄ S³ \[1/s³\].
+    FractionShearRateCubed,
     /// S² of the gas \[1/s²\].
     GasShearRateSquared,
     /// S³ of the gas \[1/s³\].
     GasShearRateCubed,
+    /// (1-φ̄) S³ of the gas \[1/s³\].
+    GasFractionShearRateCubed,
     /// -τ:Sd \[W/m³\].
     KineticDissipation,
     /// -R:Sd \[W/m³\].
@@ -375,10 +379,6 @@ terms! {
     GasResidualDissipation,
     /// filt(φ Θ) \[m²/s²\].
     FractionTemperature,
-    /// tr R / (2 ρ_s) \[m²/s²\].
-    SolidsEnergy,
-    /// tr R_g / (2 ρ_g) \[m²/s²\].
-    GasEnergy,
     /// -R:∇ũ_s: what the filtered motion loses to the sub-filter motion of the solids \[W/m³\].
     SolidsProduction,
     /// filt(f·u_s) - filt(f)·ũ_s: what the drag gives to the sub-filter motion \[W/m³\].
@@ -489,8 +489,6 @@ pub fn terms<N: Number, const D: usize>(
     set!(Term::KineticPressure, pressure + trace(&kinetic) * per_dimension);
     set!(Term::ResidualPressure, trace(&residual) * per_dimension);
     set!(Term::GasResidualPressure, trace(&gas_residual) * per_dimension);
-    set!(Term::SolidsEnergy, trace(&residual) * N::of(0.5 / densities.solids));
-    set!(Term::GasEnergy, trace(&gas_residual) * N::of(0.5 / densities.gas));
 
     let solids_gradient = moments.solids_velocity_gradient();
     let rate = deviatoric_rate(&solids_gradient);
@@ -499,7 +497,9 @@ pub fn terms<N: Number, const D: usize>(
     let residual_dissipation = -contract(&residual, &rate);
     set!(Term::ShearRate, shear_rate);
     set!(Term::ShearRateSquared, squared);
-    set!(Term::ShearRateCubed, squared * shear_rate);
+    let cubed = squared * shear_rate;
+    set!(Term::ShearRateCubed, cubed);
+    set!(Term::FractionShearRateCubed, fraction * cubed);
     set!(Term::KineticDissipation, -contract(&kinetic, &rate));
     set!(Term::ResidualDissipation, residual_dissipation);
     set!(Term::ResidualShear, residual_dissipation / shear_rate.at_least(f64::MIN_POSITIVE));
@@ -507,7 +507,9 @@ pub fn terms<N: Number, const D: usize>(
     let gas_rate = deviatoric_rate(&gas_gradient);
     let gas_squared = N::of(2.0) * contract(&gas_rate, &gas_rate);
     set!(Term::GasShearRateSquared, gas_squared);
-    set!(Term::GasShearRateCubed, gas_squared * gas_squared.sqrt());
+    let gas_cubed = gas_squared * gas_squared.sqrt();
+    set!(Term::GasShearRateCubed, gas_cubed);
+    set!(Term::GasFractionShearRateCubed, (one - fraction) * gas_cubed);
     set!(Term::GasResidualDissipation, -contract(&gas_residual, &gas_rate));
 
     let (solids, gas) = (moments.favre_solids_velocity(), moments.favre_gas_velocity());
@@ -644,6 +646,10 @@ pub enum Factor {
     SolidsSmagorinsky,
     /// ρ_g Δ_f² \[kg/m\].
     GasSmagorinsky,
+    /// 2 ρ_s \[kg/m³\].
+    TwiceSolidsDensity,
+    /// 2 ρ_g \[kg/m³\].
+    TwiceGasDensity,
 }
 
 impl Factor {
@@ -653,6 +659,8 @@ impl Factor {
             Factor::One => 1.0,
             Factor::SolidsSmagorinsky => densities.solids * filter_width * filter_width,
             Factor::GasSmagorinsky => densities.gas * filter_width * filter_width,
+            Factor::TwiceSolidsDensity => 2.0 * densities.solids,
+            Factor::TwiceGasDensity => 2.0 * densities.gas,
         }
     }
 }
@@ -782,6 +790,12 @@ quantities! {
     "drag_correction_lateral_no_pressure" Number OneMinusRatio ratio(&[(1.0, T::LateralDrag)], T::LateralMicroscopicDrag);
     /// | `drag_coefficient` | β_f = Σ(filt(f) - filt(φ' ∂p'/∂z)) / Σ s, vertical |
     "drag_coefficient" DragCoefficient Ratio ratio(&[(1.0, T::Drag), (-1.0, T::PressureFluctuation)], T::Slip);
+    /// | `drag_coefficient_no_pressure` | Σ filt(f) / Σ s, vertical |
+    "drag_coefficient_no_pressure" DragCoefficient Ratio ratio(&[(1.0, T::Drag)], T::Slip);
+    /// | `drag` | mean of filt(f) - filt(φ' ∂p'/∂z), vertical |
+    "drag" Force Ratio mean(&[(1.0, T::Drag), (-1.0, T::PressureFluctuation)]);
+    /// | `drag_no_pressure` | mean of filt(f), vertical |
+    "drag_no_pressure" Force Ratio mean(&[(1.0, T::Drag)]);
     /// | `drag_pressure_slope` | slope of filt(f) on filt(∂p/∂z) |
     "drag_pressure_slope" Number Ratio Formula::Slope { x: T::PressureGradient, y: T::Drag, xx: T::PressureGradientSquared, xy: T::DragPressureGradient };
     /// | `drag_covariance` | share of the drag that is the covariance of drag coefficient and slip, Σ(filt(f) - filt(β) filt(φ (u_g-u_s))/φ̄) / Σ filt(f) |
@@ -826,12 +840,16 @@ quantities! {
     "smagorinsky_viscosity" Number Ratio Formula::Ratio(&[(1.0, T::ResidualDissipation)], T::ShearRateCubed, Factor::SolidsSmagorinsky);
     /// | `smagorinsky_pressure` | C_p = Σ(tr R / D) / Σ ρ_s Δ_f² S² |
     "smagorinsky_pressure" Number Ratio Formula::Ratio(&[(1.0, T::ResidualPressure)], T::ShearRateSquared, Factor::SolidsSmagorinsky);
+    /// | `solids_dispersion` | C = D/(Δ_f² S) of momentum, filt(φ u'u') deviatoric = -2 φ̄ D Sd: Σ(-R:Sd) / Σ ρ_s Δ_f² φ̄ S³ |
+    "solids_dispersion" Number Ratio Formula::Ratio(&[(1.0, T::ResidualDissipation)], T::FractionShearRateCubed, Factor::SolidsSmagorinsky);
     /// | `gas_pressure_residual` | mean of tr R_g / D |
     "gas_pressure_residual" Stress Ratio mean(&[(1.0, T::GasResidualPressure)]);
     /// | `gas_viscosity` | eddy viscosity Σ(-R_g:Sd) / Σ S², rates of the gas |
     "gas_viscosity" Viscosity Ratio ratio(&[(1.0, T::GasResidualDissipation)], T::GasShearRateSquared);
     /// | `gas_smagorinsky_viscosity` | C_g = Σ(-R_g:Sd) / Σ ρ_g Δ_f² S³, rates of the gas |
     "gas_smagorinsky_viscosity" Number Ratio Formula::Ratio(&[(1.0, T::GasResidualDissipation)], T::GasShearRateCubed, Factor::GasSmagorinsky);
+    /// | `gas_dispersion` | C = D/(Δ_f² S) of momentum: Σ(-R_g:Sd) / Σ ρ_g Δ_f² (1-φ̄) S³, rates of the gas |
+    "gas_dispersion" Number Ratio Formula::Ratio(&[(1.0, T::GasResidualDissipation)], T::GasFractionShearRateCubed, Factor::GasSmagorinsky);
     /// | `solids_stress_kinetic_xx` ... | mean filtered kinetic-theory stress, its isotropic part included; components xx, xz, zz, in three dimensions xy, yz, yy too; z is vertical |
     "solids_stress_kinetic_xx" Stress Ratio mean(&[(1.0, T::KineticStressXx)]);
     "solids_stress_kinetic_xz" Stress Ratio mean(&[(1.0, T::KineticStressXz)]);
@@ -859,10 +877,10 @@ quantities! {
     "gas_anisotropy" Number Ratio ratio(&[(1.0, T::GasResidualStressZz)], T::GasResidualPressure);
     /// | `granular_temperature` | Σ filt(φ Θ) / Σ φ̄ |
     "granular_temperature" SquaredVelocity Ratio ratio(&[(1.0, T::FractionTemperature)], T::SolidsFraction);
-    /// | `solids_energy` | sub-filter kinetic energy Σ tr R/(2 ρ_s) / Σ φ̄ |
-    "solids_energy" SquaredVelocity Ratio ratio(&[(1.0, T::SolidsEnergy)], T::SolidsFraction);
-    /// | `gas_energy` | sub-filter kinetic energy Σ tr R_g/(2 ρ_g) / Σ (1-φ̄) |
-    "gas_energy" SquaredVelocity Ratio ratio(&[(1.0, T::GasEnergy)], T::GasFraction);
+    /// | `solids_energy` | sub-filter kinetic energy Σ tr R / Σ 2 ρ_s φ̄ |
+    "solids_energy" SquaredVelocity Ratio Formula::Ratio(&[(1.0, T::ResidualStressXx), (1.0, T::ResidualStressYy), (1.0, T::ResidualStressZz)], T::SolidsFraction, Factor::TwiceSolidsDensity);
+    /// | `gas_energy` | sub-filter kinetic energy Σ tr R_g / Σ 2 ρ_g (1-φ̄) |
+    "gas_energy" SquaredVelocity Ratio Formula::Ratio(&[(1.0, T::GasResidualStressXx), (1.0, T::GasResidualStressYy), (1.0, T::GasResidualStressZz)], T::GasFraction, Factor::TwiceGasDensity);
     /// | `solids_production` | budget of the sub-filter kinetic energy of the solids: mean of -R:∇ũ_s |
     "solids_production" Power Ratio mean(&[(1.0, T::SolidsProduction)]);
     /// | `solids_drag_work` | mean of filt(f·u_s) - filt(f)·ũ_s |
@@ -983,6 +1001,8 @@ mod tests {
         check("gas_viscosity", 0.02);
         check("gas_pressure_residual", 0.5);
         check("gas_smagorinsky_viscosity", 0.02 / (1.3 * width * width * 40.0));
+        check("solids_dispersion", 1.4 / (density * 0.2 * width * width * 40.0));
+        check("gas_dispersion", 0.02 / (1.3 * 0.8 * width * width * 40.0));
         check("granular_temperature", 0.004);
         // Off the diagonal of z and x: Sd = 20.
         check("solids_stress_kinetic_xz", -2.0 * 0.7 * 20.0);
@@ -1028,6 +1048,9 @@ mod tests {
         check("drag_correction", 1.0 - 1000.0 / 2000.0);
         check("drag_correction_no_pressure", 1.0 - 900.0 / 2000.0);
         check("drag_coefficient", 1000.0 / 0.5);
+        check("drag_coefficient_no_pressure", 900.0 / 0.5);
+        check("drag", 1000.0);
+        check("drag_no_pressure", 900.0);
         // Lateral slip -0.1: drag -300, of it -200 without the pressure; microscopic drag -400.
         check("drag_correction_lateral", 1.0 - 200.0 / 400.0);
         check("drag_correction_lateral_no_pressure", 1.0 - 300.0 / 400.0);

@@ -5,7 +5,7 @@
 //! Each is simulated for at least 20 u_t/g, watched in every step, and stopped and gone on with at
 //! several points, which must give the same bits.
 
-use crate::case::{DragChoice, FrictionChoice, Precision, RadialDistributionChoice};
+use crate::case::{DragChoice, FrictionChoice, Precision, RadialDistributionChoice, Terms};
 use crate::grid::Grid;
 use crate::laws::scales::{Gas, Powder, Scales};
 use crate::real::Real;
@@ -119,6 +119,7 @@ impl HardCase {
             drag: self.drag,
             radial_distribution: RadialDistributionChoice::Princeton,
             friction: self.friction,
+            terms: Terms::default(),
             solids_fraction: self.solids_fraction,
             perturbation: match self.start {
                 Start::Noise(amplitude) => amplitude,

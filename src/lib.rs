@@ -43,6 +43,8 @@ pub mod figure;
 pub mod hard;
 pub mod output;
 pub mod pipeline;
+pub mod pool;
 pub mod progress;
 pub mod summary;
+pub mod terms;
 pub mod verify;

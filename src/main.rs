@@ -17,7 +17,10 @@ use favre::checkpoint::Checkpoints;
 use favre::hard;
 use favre::output::Output;
 use favre::pipeline::{self, RunError, RunOptions};
+use favre::pool::Pool;
 use favre::resolved::map::Map;
+use favre::sums::SUMS_FILE;
+use favre::terms::terms;
 use favre::verify::{self, Effort};
 
 use cli::{Cli, Command};
@@ -80,7 +83,11 @@ fn run(args: &cli::Run, command: &str) -> Result<(), Failure> {
     }
     if args.print_case {
         let untouched = args.case.is_none() && args.duration.is_none() && command == "run";
-        return write(if untouched { DEFAULT.to_owned() } else { case.to_toml() });
+        if untouched {
+            return write(DEFAULT.to_owned());
+        }
+        let terms: String = terms(&case).iter().map(|term| format!("# {term}\n")).collect();
+        return write(format!("{}\n{terms}", case.to_toml()));
     }
     if !args.quiet {
         for warning in case.warnings() {
@@ -169,6 +176,9 @@ fn command_to_go_on(args: &cli::Run, command: &str) -> String {
 }
 
 fn filter(args: &cli::Filter) -> Result<(), Failure> {
+    if args.paths.iter().any(|path| is_sums(path)) {
+        return pool(args);
+    }
     let map = match &args.map {
         Some(path) => Map::load(path).map_err(Failure::misuse)?,
         None => Map::none(),
@@ -179,7 +189,7 @@ fn filter(args: &cli::Filter) -> Result<(), Failure> {
     interrupt.partial.get_or_init(|| output.partial().to_owned());
     let options = RunOptions { threads: args.threads.map_or(0, usize::from), quiet: args.quiet };
     let found =
-        pipeline::fields::filter(&args.fields, &map, args.from, &output, &options, &interrupt.stop);
+        pipeline::fields::filter(&args.paths, &map, args.from, &output, &options, &interrupt.stop);
     let found = found.map_err(|error| match error {
         RunError::Stopped => Failure { status: INTERRUPTED, error: error.into() },
         // What was given cannot be filtered.
@@ -197,6 +207,30 @@ fn filter(args: &cli::Filter) -> Result<(), Failure> {
         (false, true) => Ok(()),
         (false, false) => print(&found),
     }
+}
+
+/// Whether `path` holds the sums of a run: its folder or the file itself.
+fn is_sums(path: &Path) -> bool {
+    path.join(SUMS_FILE).is_file() || path.extension().is_some_and(|end| end == "favre")
+}
+
+/// `favre filter` of sums.
+fn pool(args: &cli::Filter) -> Result<(), Failure> {
+    if let Some(path) = args.paths.iter().find(|path| !is_sums(path)) {
+        let message = format!(
+            "{} holds no sums of a run, and others here do: filter fields on their own, then put the \
+             results together",
+            path.display()
+        );
+        return Err(Failure::misuse(message));
+    }
+    let pool = Pool::read(&args.paths).map_err(Failure::misuse)?;
+    let dir = args.out.as_deref().unwrap_or(Path::new("favre-out/pool"));
+    let output = Output::create(dir, args.force).map_err(Failure::misuse)?;
+    let summary = pipeline::pooled(&pool, &output).map_err(Failure::failed)?;
+    let dir = output.commit().map_err(Failure::failed)?;
+    say(format_args!("favre: tables are in {}", dir.display()));
+    if args.json { print_json(&summary) } else { print(&summary) }
 }
 
 fn stability(args: &cli::Stability) -> Result<(), Failure> {

@@ -15,6 +15,7 @@ use crate::model::{
     Definitions, Model, ModelError, Source, System, binned_closure_rows, closure_rows,
 };
 use crate::output::{Output, OutputError, RUN_FILE};
+use crate::pool::{Pool, PoolSummary};
 use crate::progress::Progress;
 use crate::resolved::ResolvedError;
 use crate::resolved::series::SeriesError;
@@ -24,6 +25,7 @@ use crate::stability::{self, Stability, StabilityError};
 use crate::statistics::{MergeError, Sums, bin_table};
 use crate::stored::StoredError;
 use crate::summary::{BoxSummary, Machine, Summary};
+use crate::sums::{RunSums, SUMS_FILE, SumsFile, SumsSystem};
 use crate::table::{BinRow, write_rows};
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -156,6 +158,8 @@ pub fn run(
     );
     export(case, output, &boxes, &bins, model.as_ref().ok(), &summary)?;
     fields::take_fields(case, checkpoints, output)?;
+    let sums = sums_file(case, sums);
+    output.write(SUMS_FILE, |file| sums.write(file))?;
     Ok(summary)
 }
 
@@ -172,6 +176,22 @@ pub fn stability(case: &Case, output: &Output) -> Result<Stability, RunError> {
     output.write("stability.svg", |file| file.write_all(drawing.svg().as_bytes()))?;
     output.write(RUN_FILE, |file| Ok(serde_json::to_writer_pretty(file, &found)?))?;
     Ok(found)
+}
+
+/// Runs put together in `output`, which the caller commits: bins.csv, the pooled sums, where boxes of
+/// different mean solids fraction disagree, and run.json.
+///
+/// # Errors
+/// A file cannot be written.
+pub fn pooled(pool: &Pool, output: &Output) -> Result<PoolSummary, RunError> {
+    output.write("bins.csv", |file| write_rows(&pool.bins, file).map_err(io::Error::other))?;
+    output.write(SUMS_FILE, |file| pool.file.write(file))?;
+    output.write("disagreements.csv", |file| {
+        pool.write_disagreements(file).map_err(io::Error::other)
+    })?;
+    let summary = pool.summary();
+    output.write(RUN_FILE, |file| Ok(serde_json::to_writer_pretty(file, &summary)?))?;
+    Ok(summary)
 }
 
 /// Speed against error in `output`, which the caller commits: error.csv, a figure per quantity and
@@ -323,6 +343,27 @@ fn steady_part(simulated: &Simulated, scales: &Scales) -> (Sums, BoxSummary) {
     let mut sums = simulated.sums.clone();
     sums.discard_before(start);
     (sums, BoxSummary::new(simulated, start, onset, scales))
+}
+
+/// The sums of a case's boxes, to be kept.
+fn sums_file(case: &Case, sums: Vec<Sums>) -> SumsFile {
+    let runs = case
+        .domain
+        .solids_fractions
+        .iter()
+        .zip(sums)
+        .map(|(&solids_fraction, sums)| RunSums { name: case.name.clone(), solids_fraction, sums });
+    SumsFile { system: sums_system(case), runs: runs.collect() }
+}
+
+/// What sums are of.
+fn sums_system(case: &Case) -> SumsSystem {
+    SumsSystem {
+        powder: case.powder,
+        gas: case.gas,
+        gravity: case.physics.gravity,
+        drag: case.physics.drag.to_string(),
+    }
 }
 
 fn fit_drag_correction(bins: &[BinRow]) -> Result<Fit, FitError> {

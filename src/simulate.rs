@@ -205,6 +205,7 @@ pub fn setup(case: &Case, solids_fraction: f64, parallel: bool) -> Setup {
         drag: physics.drag,
         radial_distribution: physics.radial_distribution,
         friction: physics.friction,
+        terms: physics.terms,
         solids_fraction,
         perturbation: run.perturbation,
         seed: run.seed,

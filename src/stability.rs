@@ -13,6 +13,10 @@
 //! - ρ_g D_g v' = -i k p' - W (κ_φ φ' + κ_w w') e - κ (v' - u')
 //! - 3/2 D_s T' = -λ k² T'/(ρ_s φ) - (1 + 4 η φ g0) T i k·u' + R_φ φ' + R_T T' + R_w w'
 //!
+//! These are the full equations, whatever [`Terms`](crate::case::Terms) the case leaves out. They
+//! hold no stress of the gas, μ_g k² against the drag, and no frictional viscosity: at rest Coulomb's
+//! stress has no derivative by the rate of strain, and below its onset it is nought.
+//!
 //! R are the sources of granular energy per solids mass; a subscript is a derivative of a law. The
 //! constraint gives the gas velocity along k, the difference of the two momentum balances along k
 //! removes p', and five unknowns are left: φ', T', u' along and across k, v' across k.
@@ -779,6 +783,7 @@ mod tests {
                 drag: CASE.physics.drag,
                 radial_distribution: CASE.physics.radial_distribution,
                 friction: CASE.physics.friction,
+                terms: CASE.physics.terms,
                 solids_fraction: self.phi,
                 perturbation: 1e-4,
                 seed: 0,

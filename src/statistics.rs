@@ -443,6 +443,24 @@ impl Sums {
         Ok(())
     }
 
+    /// Whether two sums are of the same samples: of one run, read twice.
+    pub fn same_samples(&self, other: &Self) -> bool {
+        let bits = |sums: &[f64]| sums.iter().map(|sum| sum.to_bits()).collect::<Vec<_>>();
+        let seen = self
+            .blocks
+            .iter()
+            .filter(|block| block.widths.iter().any(|visits| !visits.keys.is_empty()));
+        let shared = seen.into_iter().find_map(|ours| {
+            let at = other.blocks.binary_search_by_key(&ours.place, |block| block.place).ok()?;
+            Some((ours, &other.blocks[at]))
+        });
+        // Two realisations do not agree in a whole block to the last bit.
+        shared.is_some_and(|(ours, theirs)| {
+            let mut pairs = ours.widths.iter().zip(&theirs.widths);
+            pairs.all(|(ours, theirs)| bits(&ours.sums) == bits(&theirs.sums))
+        })
+    }
+
     /// Forgets all blocks that began before `time` \[s\].
     pub fn discard_before(&mut self, time: f64) {
         let first = (time / self.layout.block_duration - BLOCK_TOLERANCE).ceil();
@@ -862,8 +880,16 @@ fn row(
     let [low_95, high_95] = quantity.map.interval(found.interval_95);
     let edges = layout.bins.edges(visits.bin);
     let of = |marker: Marker| layout.bins.axes.iter().position(|axis| axis.marker == marker);
-    let [slip_low, slip_high] =
-        of(Marker::Slip).map_or([f64::NEG_INFINITY, f64::INFINITY], |axis| edges[axis]);
+    let edges_of =
+        |marker: Marker| of(marker).map_or([f64::NEG_INFINITY, f64::INFINITY], |axis| edges[axis]);
+    let mean = |marker: Marker| sum(marker.term()) / positions / marker.kind().scale(scales);
+    let [solids_fraction_low, solids_fraction_high] = edges_of(Marker::SolidsFraction);
+    let [slip_low, slip_high] = edges_of(Marker::Slip);
+    let [slip_speed_low, slip_speed_high] = edges_of(Marker::SlipSpeed);
+    let [pressure_gradient_low, pressure_gradient_high] = edges_of(Marker::PressureGradient);
+    let [shear_rate_low, shear_rate_high] = edges_of(Marker::ShearRate);
+    let [fraction_gradient_low, fraction_gradient_high] = edges_of(Marker::FractionGradient);
+    let [variance_low, variance_high] = edges_of(Marker::Variance);
     BinRow {
         quantity: quantity.name.to_owned(),
         unit: quantity.kind.unit().to_owned(),
@@ -871,9 +897,9 @@ fn row(
         filter_width_l_i: width / scales.length_i(),
         filter_width_l_ii: width / scales.length_ii(),
         solids_fraction: sum(Term::SolidsFraction) / positions,
-        solids_fraction_low: edges[0][0],
-        solids_fraction_high: edges[0][1],
-        slip: sum(Term::Slip) / positions / scales.terminal_velocity,
+        solids_fraction_low,
+        solids_fraction_high,
+        slip: mean(Marker::Slip),
         slip_low,
         slip_high,
         value,
@@ -883,17 +909,32 @@ fn row(
         value_scaled: value / quantity.kind.scale(scales),
         samples: positions as u64,
         effective_samples,
+        slip_speed: mean(Marker::SlipSpeed),
+        slip_speed_low,
+        slip_speed_high,
+        pressure_gradient: mean(Marker::PressureGradient),
+        pressure_gradient_low,
+        pressure_gradient_high,
+        shear_rate: mean(Marker::ShearRate),
+        shear_rate_low,
+        shear_rate_high,
+        fraction_gradient: mean(Marker::FractionGradient),
+        fraction_gradient_low,
+        fraction_gradient_high,
+        variance: mean(Marker::Variance),
+        variance_low,
+        variance_high,
     }
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::laws::drag::WenYu;
     use crate::laws::scales::tests::{GAS, POWDER};
     use crate::moments::tests::random_fields;
 
-    fn scales() -> Scales {
+    pub(crate) fn scales() -> Scales {
         Scales::new(&POWDER, &GAS, 9.81)
     }
 
@@ -929,6 +970,19 @@ mod tests {
         let mut sampler = sampler(grid, widths, slip);
         for instant in instants {
             let mut fields = random_fields(grid, instant);
+            fields.time = 0.005 * instant as f64;
+            sampler.sample(&fields);
+        }
+        sampler.into_sums()
+    }
+
+    /// Sums of random fields in a flat box whose gas rises faster by `lift` \[m/s\].
+    pub(crate) fn sampled_runs(lift: f64, instants: std::ops::Range<u64>) -> Sums {
+        let grid = Grid::new([0.032, 0.032], [16, 16]);
+        let mut sampler = sampler(grid, &[0.004, 0.008], None);
+        for instant in instants {
+            let mut fields = random_fields(grid, instant);
+            fields.gas_velocity[1].iter_mut().for_each(|u| *u += lift);
             fields.time = 0.005 * instant as f64;
             sampler.sample(&fields);
         }

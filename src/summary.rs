@@ -8,6 +8,7 @@ use crate::series::{Onset, SeriesStatistics, mean_with_error};
 use crate::simulate::{Cost, Simulated};
 use crate::stability::stability;
 use crate::table::BinRow;
+use crate::terms::{Term, terms};
 use serde::Serialize;
 use std::fmt;
 
@@ -158,6 +159,8 @@ pub struct Summary {
     pub case: serde_json::Value,
     /// Scales of the powder.
     pub scales: ScalesSummary,
+    /// What of the equations was modelled, and why.
+    pub terms: Vec<Term>,
     /// The boxes.
     pub boxes: Vec<BoxSummary>,
     /// Drag corrections near the boxes' mean fractions.
@@ -208,6 +211,7 @@ impl Summary {
                 length_i: scales.length_i(),
                 length_ii: scales.length_ii(),
             },
+            terms: terms(case),
             drag_corrections: drag_corrections(case, bins),
             boxes,
             bins: bins.len(),
@@ -361,6 +365,9 @@ impl fmt::Display for Summary {
             )?;
         }
         writeln!(f)?;
+        for term in &self.terms {
+            writeln!(f, "  {term}")?;
+        }
         let steps: u64 = self.boxes.iter().map(|b| b.cost.steps).sum();
         let residual = self.boxes.iter().map(|b| b.cost.volume_residual).fold(0.0, f64::max);
         let mass = self.boxes.iter().map(|b| b.cost.mass_change.abs()).fold(0.0, f64::max);

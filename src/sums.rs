@@ -1,8 +1,24 @@
-//! Sums on disk: what was summed, so that runs can be pooled, resampled and refitted later.
+//! [`SumsFile`]: sums on disk, so that runs can be pooled, resampled and refitted later.
+//!
+//! Every run leaves its sums in `sums.favre`: for each box those of its steady part.
+//!
+//! # Format of [`SumsFile`], version 1
+//!
+//! Numbers are little-endian; a list is its length (u64) and its elements; a text is its length and
+//! UTF-8.
+//!
+//! | what | type |
+//! | --- | --- |
+//! | `favresum` | 8 bytes |
+//! | version of the format | u32 |
+//! | powder: d \[m\], ρ_s \[kg/m³\], restitution, densest packing | four f64 |
+//! | gas: ρ_g \[kg/m³\], μ_g \[Pa·s\] | two f64 |
+//! | g \[m/s²\] | f64 |
+//! | the fine grid's drag law, as in a case file | text |
+//! | runs: name, mean solids fraction, [`Sums`] | list of text, f64 and sums |
+//! | CRC-32 (IEEE 802.3) of all of the above | u32 |
 //!
 //! # Format of [`Sums`]
-//!
-//! Numbers are little-endian; a list is its length (u64) and its elements.
 //!
 //! | what | type |
 //! | --- | --- |
@@ -17,11 +33,166 @@
 //! | blocks: place, instants, filter widths | list of u64, u64 and list of visits |
 //! | visits: keys; sums of the terms; spreads | list of u64, list of f64, list of f64 |
 
-use crate::binary::{Fault, Source, put, put_list, take, take_list};
+use crate::binary::{
+    Fault, Source, open, put, put_list, put_text, take, take_list, take_text, write_to,
+};
 use crate::filtered::{QUANTITY_COUNT, TERM_COUNT};
+use crate::laws::scales::{Gas, Powder, Scales};
 use crate::spectral::Kernel;
 use crate::statistics::{Axis, Bins, BlockSums, Layout, Marker, SPREAD, Sums, Visits};
 use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+/// What a file of sums begins with.
+const MAGIC: &[u8; 8] = b"favresum";
+
+/// Version of the format.
+const FORMAT: u32 = 1;
+
+/// Name of the file of sums in the folder of a run.
+pub const SUMS_FILE: &str = "sums.favre";
+
+/// What sums are of: what must be equal in runs that are pooled.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SumsSystem {
+    /// The powder.
+    pub powder: Powder,
+    /// The gas.
+    pub gas: Gas,
+    /// g \[m/s²\].
+    pub gravity: f64,
+    /// Drag law of the fine grid, as in a case file.
+    pub drag: String,
+}
+
+impl SumsSystem {
+    /// The scales of the powder in the gas.
+    pub fn scales(&self) -> Scales {
+        Scales::new(&self.powder, &self.gas, self.gravity)
+    }
+}
+
+/// The sums of one run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunSums {
+    /// Name of the run.
+    pub name: String,
+    /// Mean solids fraction of its box.
+    pub solids_fraction: f64,
+    /// Its sums, the start taken off.
+    pub sums: Sums,
+}
+
+/// Sums of the runs of one powder in one gas.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SumsFile {
+    /// What they are of.
+    pub system: SumsSystem,
+    /// The runs.
+    pub runs: Vec<RunSums>,
+}
+
+/// A file of sums that cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum SumsError {
+    /// The file cannot be read.
+    #[error("cannot read the sums {path}", path = path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The file is of another version of the format.
+    #[error(
+        "{path} is of version {found} of the format of sums and this program reads {FORMAT}: run \
+         its case again",
+        path = path.display()
+    )]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// Its version.
+        found: u32,
+    },
+    /// The file is not, or no longer, what was written.
+    #[error("{path} cannot be used: {what}", path = path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        what: String,
+    },
+}
+
+impl SumsFile {
+    /// Writes the sums.
+    ///
+    /// # Errors
+    /// Those of `to`.
+    pub fn write(&self, to: &mut dyn Write) -> io::Result<()> {
+        write_to(to, MAGIC, FORMAT, |to| {
+            let SumsSystem { powder, gas, gravity, drag } = &self.system;
+            let numbers = [
+                powder.diameter,
+                powder.density,
+                powder.restitution,
+                powder.max_packing,
+                gas.density,
+                gas.viscosity,
+                *gravity,
+            ];
+            numbers.into_iter().try_for_each(|number| put(to, number))?;
+            put_text(to, drag)?;
+            put(to, self.runs.len() as u64)?;
+            for RunSums { name, solids_fraction, sums } in &self.runs {
+                put_text(to, name)?;
+                put(to, *solids_fraction)?;
+                put_sums(to, sums)?;
+            }
+            Ok(())
+        })
+    }
+
+    /// Reads the file at `path`, or [`SUMS_FILE`] in the folder there.
+    ///
+    /// # Errors
+    /// [`SumsError`] if the file cannot be read, or is not what was written.
+    pub fn read(path: &Path) -> Result<Self, SumsError> {
+        let path = if path.is_dir() { path.join(SUMS_FILE) } else { path.to_owned() };
+        Self::take(&path).map_err(|fault| match fault {
+            Fault::Read(source) => SumsError::Read { path, source },
+            Fault::Format(found) => SumsError::Format { path, found },
+            Fault::Damaged(what) => SumsError::Damaged { path, what },
+        })
+    }
+
+    fn take(path: &Path) -> Result<Self, Fault> {
+        let from = &mut open(path, MAGIC, FORMAT, "file of sums, such as a run leaves")?;
+        let mut numbers = [0.0; 7];
+        for number in &mut numbers {
+            *number = take(from)?;
+        }
+        let [diameter, density, restitution, max_packing, gas_density, viscosity, gravity] =
+            numbers;
+        if numbers.iter().any(|number| !(number.is_finite() && *number > 0.0)) {
+            return Err(Fault::damaged("its powder or its gas cannot be"));
+        }
+        let system = SumsSystem {
+            powder: Powder { diameter, density, restitution, max_packing },
+            gas: Gas { density: gas_density, viscosity },
+            gravity,
+            drag: take_text(from)?,
+        };
+        let runs = (0..from.len(24)?)
+            .map(|_| {
+                let (name, solids_fraction) = (take_text(from)?, take(from)?);
+                Ok(RunSums { name, solids_fraction, sums: take_sums(from)? })
+            })
+            .collect::<Result<_, Fault>>()?;
+        Ok(Self { system, runs })
+    }
+}
 
 /// Writes sums.
 pub(crate) fn put_sums(to: &mut dyn Write, sums: &Sums) -> io::Result<()> {

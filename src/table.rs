@@ -111,10 +111,55 @@ pub struct BinRow {
     pub samples: u64,
     /// Independent samples that would give the same standard error.
     pub effective_samples: f64,
+    /// Mean filtered slip speed / u_t of the samples in the bin [-].
+    #[serde(rename = "slip_speed/u_t [-]")]
+    pub slip_speed: f64,
+    /// Lower edge of the bin of it [-]; -inf if it is no marker.
+    #[serde(rename = "slip_speed_low/u_t [-]")]
+    pub slip_speed_low: f64,
+    /// Upper edge of that bin [-]; inf if it is no marker.
+    #[serde(rename = "slip_speed_high/u_t [-]")]
+    pub slip_speed_high: f64,
+    /// Mean vertical filtered pressure gradient / (ρ_s g) of the samples in the bin [-]; "not a number" if the pressure is not known.
+    #[serde(rename = "pressure_gradient/(rho_s g) [-]")]
+    pub pressure_gradient: f64,
+    /// Lower edge of the bin of it [-]; -inf if it is no marker.
+    #[serde(rename = "pressure_gradient_low/(rho_s g) [-]")]
+    pub pressure_gradient_low: f64,
+    /// Upper edge of that bin [-]; inf if it is no marker.
+    #[serde(rename = "pressure_gradient_high/(rho_s g) [-]")]
+    pub pressure_gradient_high: f64,
+    /// Mean shear rate S of the filtered solids velocity × u_t/g of the samples in the bin [-].
+    #[serde(rename = "shear_rate*u_t/g [-]")]
+    pub shear_rate: f64,
+    /// Lower edge of the bin of it [-]; -inf if it is no marker.
+    #[serde(rename = "shear_rate_low*u_t/g [-]")]
+    pub shear_rate_low: f64,
+    /// Upper edge of that bin [-]; inf if it is no marker.
+    #[serde(rename = "shear_rate_high*u_t/g [-]")]
+    pub shear_rate_high: f64,
+    /// Mean \|∇φ̄\| × L_I of the samples in the bin [-].
+    #[serde(rename = "solids_fraction_gradient*L_I [-]")]
+    pub fraction_gradient: f64,
+    /// Lower edge of the bin of it [-]; -inf if it is no marker.
+    #[serde(rename = "solids_fraction_gradient_low*L_I [-]")]
+    pub fraction_gradient_low: f64,
+    /// Upper edge of that bin [-]; inf if it is no marker.
+    #[serde(rename = "solids_fraction_gradient_high*L_I [-]")]
+    pub fraction_gradient_high: f64,
+    /// Mean sub-filter variance of φ of the samples in the bin [-].
+    #[serde(rename = "solids_fraction_variance [-]")]
+    pub variance: f64,
+    /// Lower edge of the bin of it [-]; -inf if it is no marker.
+    #[serde(rename = "solids_fraction_variance_low [-]")]
+    pub variance_low: f64,
+    /// Upper edge of that bin [-]; inf if it is no marker.
+    #[serde(rename = "solids_fraction_variance_high [-]")]
+    pub variance_high: f64,
 }
 
 /// Columns of a bin table, in the order of [`BinRow`]'s fields.
-pub const BIN_COLUMNS: [&str; 18] = [
+pub const BIN_COLUMNS: [&str; 33] = [
     "quantity",
     "unit",
     "filter_width [m]",
@@ -133,6 +178,21 @@ pub const BIN_COLUMNS: [&str; 18] = [
     "value_scaled [-]",
     "samples",
     "effective_samples",
+    "slip_speed/u_t [-]",
+    "slip_speed_low/u_t [-]",
+    "slip_speed_high/u_t [-]",
+    "pressure_gradient/(rho_s g) [-]",
+    "pressure_gradient_low/(rho_s g) [-]",
+    "pressure_gradient_high/(rho_s g) [-]",
+    "shear_rate*u_t/g [-]",
+    "shear_rate_low*u_t/g [-]",
+    "shear_rate_high*u_t/g [-]",
+    "solids_fraction_gradient*L_I [-]",
+    "solids_fraction_gradient_low*L_I [-]",
+    "solids_fraction_gradient_high*L_I [-]",
+    "solids_fraction_variance [-]",
+    "solids_fraction_variance_low [-]",
+    "solids_fraction_variance_high [-]",
 ];
 
 /// One quantity at one filter width and one filtered solids fraction: long format, so that any
@@ -297,6 +357,19 @@ fn impossible(row: &BinRow) -> Option<(&'static str, &'static str)> {
     if row.effective_samples.is_nan() || row.effective_samples < 0.0 {
         return Some((BIN_COLUMNS[17], "must be a number that is not negative"));
     }
+    let edges = [
+        [row.slip_speed_low, row.slip_speed_high],
+        [row.pressure_gradient_low, row.pressure_gradient_high],
+        [row.shear_rate_low, row.shear_rate_high],
+        [row.fraction_gradient_low, row.fraction_gradient_high],
+        [row.variance_low, row.variance_high],
+    ];
+    for (marker, [low, high]) in edges.into_iter().enumerate() {
+        // Written so that NaN is refused too.
+        if !(low < high) {
+            return Some((BIN_COLUMNS[19 + 3 * marker], "must be a number below the upper edge"));
+        }
+    }
     None
 }
 
@@ -326,6 +399,21 @@ pub(crate) mod tests {
             value_scaled: value,
             samples: 1000,
             effective_samples: 20.5,
+            slip_speed: 0.5,
+            slip_speed_low: f64::NEG_INFINITY,
+            slip_speed_high: f64::INFINITY,
+            pressure_gradient: 0.5,
+            pressure_gradient_low: f64::NEG_INFINITY,
+            pressure_gradient_high: f64::INFINITY,
+            shear_rate: 0.5,
+            shear_rate_low: f64::NEG_INFINITY,
+            shear_rate_high: f64::INFINITY,
+            fraction_gradient: 0.5,
+            fraction_gradient_low: f64::NEG_INFINITY,
+            fraction_gradient_high: f64::INFINITY,
+            variance: 0.5,
+            variance_low: f64::NEG_INFINITY,
+            variance_high: f64::INFINITY,
         }
     }
 
@@ -389,7 +477,12 @@ pub(crate) mod tests {
             "bins.csv: line 3, column `value`: `inf`: must be finite"
         );
         assert_eq!(
-            message(&text.replace(",0.5,", ",half,")),
+            spoil(&|r| r.shear_rate_low = f64::NAN),
+            "bins.csv: line 3, column `shear_rate_low*u_t/g [-]`: `NaN`: must be a number below the \
+             upper edge"
+        );
+        assert_eq!(
+            message(&text.replacen(",0.5,", ",half,", 1)),
             "bins.csv: line 2, column `value`: `half`: invalid float literal"
         );
         assert!(
@@ -398,10 +491,9 @@ pub(crate) mod tests {
         );
         let without: Vec<&str> =
             text.lines().map(|line| line.rsplit_once(',').unwrap().0).collect();
-        assert!(
-            message(&without.join("\n"))
-                .starts_with("bins.csv: line 1: column `effective_samples` is missing")
-        );
+        assert!(message(&without.join("\n")).starts_with(
+            "bins.csv: line 1: column `solids_fraction_variance_high [-]` is missing"
+        ));
         assert!(message(text.lines().next().unwrap()).starts_with("bins.csv: no rows"));
         let missing = read_bins(Path::new("no/such/bins.csv")).unwrap_err().to_string();
         assert!(missing.starts_with("no/such/bins.csv: "), "{missing}");

@@ -2,18 +2,20 @@
 //!
 //! Balances of mass and momentum of both phases and of granular energy (Agrawal et al. 2001; see
 //! [`laws`](crate::laws) for the closures), driven by gravity and a mean gas pressure gradient that
-//! balances the weight. The gas is incompressible; its deviatoric stress is left out.
+//! balances the weight. The gas is incompressible.
 //!
 //! Staggered grid: solids fraction φ, granular temperature T and gas pressure p at cell centres,
 //! velocities on faces. A step of [`TwoFluid::step`]:
 //!
 //! 1. volume fluxes through the faces: solids upwind, gas the rest of the divergence-free total;
 //! 2. φ and T by those fluxes;
-//! 3. momentum of both phases by the same fluxes, the gas in as many sub-steps as it needs;
-//! 4. drag coefficient and kinetic-theory closures;
+//! 3. momentum of both phases by the same fluxes, the gas in as many sub-steps as it needs (if it
+//!    carries momentum at all, see [`Terms`]);
+//! 4. drag coefficient and kinetic-theory closures, with the frictional viscosity if there is one;
 //! 5. viscous stress of the solids, with the heat that its loss of kinetic energy makes;
-//! 6. balance of granular energy, implicit in each cell; solids pressure;
-//! 7. drag implicit on each face, with weight, solids pressure and the old gas pressure;
+//! 6. balance of granular energy, implicit in each cell (its rate of change, conduction and step 2
+//!    left out if it is algebraic); solids pressure;
+//! 7. viscous stress of the gas (if it has one); drag implicit on each face, with weight, solids pressure and the old gas pressure;
 //! 8. projection: the pressure increment that makes the total volume flux divergence-free.
 //!
 //! Momentum of the mixture is conserved to round-off, because every exchange is one number with
@@ -22,6 +24,7 @@
 mod clock;
 mod exchange;
 mod failure;
+mod fields;
 mod granular;
 mod imposed;
 mod state;
@@ -30,13 +33,11 @@ mod sweep;
 mod transport;
 
 use crate::case::{
-    DragChoice, FrictionChoice, RadialDistributionChoice, with_drag, with_friction,
-    with_radial_distribution,
+    DragChoice, FrictionChoice, GranularEnergyChoice, RadialDistributionChoice, Terms, with_drag,
+    with_friction, with_radial_distribution,
 };
-use crate::field::{Faces, Field, Layout, Row};
-use crate::fine::{FineFields, symmetric_index};
+use crate::field::{Faces, Field, Layout};
 use crate::grid::Grid;
-use crate::laws::drag::DragLaw;
 use crate::laws::kinetic_theory::KineticTheory;
 use crate::laws::scales::{Gas, Powder, homogeneous_slip};
 use crate::poisson::Poisson;
@@ -103,6 +104,19 @@ struct Medium<R> {
     gas_density: R,
 }
 
+impl<R: Real> Medium<R> {
+    fn new(setup: &Setup) -> Self {
+        let Setup { powder, gas, .. } = setup;
+        Self {
+            theory: KineticTheory::new(gas, powder),
+            contact: contact_rows(setup),
+            drag: drag_rows(setup),
+            solids_density: R::of(powder.density),
+            gas_density: R::of(gas.density),
+        }
+    }
+}
+
 /// What the two-fluid model is asked to compute.
 #[derive(Clone, Copy, Debug)]
 pub struct Setup {
@@ -118,6 +132,8 @@ pub struct Setup {
     pub radial_distribution: RadialDistributionChoice,
     /// Frictional pressure.
     pub friction: FrictionChoice,
+    /// What of the equations is modelled.
+    pub terms: Terms,
     /// Mean solids fraction of the box.
     pub solids_fraction: f64,
     /// Relative amplitude of the initial random perturbation of the solids fraction.
@@ -142,7 +158,7 @@ pub enum Limit {
     Sound,
     /// The longest step allowed.
     Longest,
-    /// Viscosity or conductivity of the solids.
+    /// Viscosity or conductivity of the solids, or viscosity of the gas.
     Diffusion,
 }
 
@@ -153,7 +169,7 @@ pub struct StepReport {
     pub dt: f64,
     /// What limited it.
     pub limit: Limit,
-    /// Sub-steps of the gas.
+    /// Sub-steps of the gas's momentum transport; 0 if it is left out.
     pub gas_steps: usize,
     /// Pressure iterations.
     pub iterations: usize,
@@ -182,9 +198,8 @@ pub struct TwoFluid<R, const D: usize> {
     rows: Rows<D>,
     setup: Setup,
     medium: Medium<R>,
-    /// The laws in double precision, for what is handed to the filter.
-    law: Box<dyn DragLaw<f64>>,
-    contact: Box<dyn ContactRow<f64>>,
+    /// The same in double precision, for what is handed to the filter.
+    seen: Medium<f64>,
     /// Weight less the mean pressure gradient's push, g (ρ_mean - ρ_k), for solids and gas \[N/m³\].
     buoyancy: [R; 2],
     time: f64,
@@ -274,15 +289,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         Self {
             grid,
             rows: Rows::new(layout, setup.parallel),
-            medium: Medium {
-                theory: KineticTheory::new(&gas, &powder),
-                contact: contact_rows(&setup),
-                drag: drag_rows(&setup),
-                solids_density: R::of(powder.density),
-                gas_density: R::of(gas.density),
-            },
-            law: setup.drag.law(&gas, &powder),
-            contact,
+            medium: Medium::new(&setup),
+            seen: Medium::new(&setup),
             buoyancy: [
                 R::of(gravity * (mixture - powder.density)),
                 R::of(gravity * (mixture - gas.density)),
@@ -290,7 +298,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             setup,
             time: 0.0,
             steps: 0,
-            next_dt: (FIRST_STEP * time_scale, Limit::Growth),
+            next_dt: first_step(&grid, &setup, time_scale),
             gas_speed: slip / grid.spacing[D - 1],
             clock: None,
             tolerance: TOLERANCE,
@@ -306,7 +314,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             gas_new: Field::zero_faces(layout),
             drag: zeros(),
             right: zeros(),
-            sweeps: sweeps(layout, setup.parallel),
+            sweeps: sweeps(layout, &setup),
             increment: zeros(),
             poisson: Poisson::new(&grid, setup.parallel),
         }
@@ -351,7 +359,11 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let inverse_spacing = self.grid.spacing.map(|h| R::of(1.0 / h));
         let inverse_square: f64 = self.grid.spacing.iter().map(|h| 1.0 / (h * h)).sum();
         let gas_courant = dt * self.gas_speed;
-        let gas_steps = ((gas_courant / COURANT).ceil() as usize).clamp(1, MOST_GAS_STEPS);
+        let gas_steps = if self.setup.terms.gas_inertia {
+            ((gas_courant / COURANT).ceil() as usize).clamp(1, MOST_GAS_STEPS)
+        } else {
+            0
+        };
 
         let before = Before {
             layout: rows.layout(),
@@ -364,6 +376,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             buoyancy: self.buoyancy,
             dt: R::of(dt),
             gas_steps,
+            transports_heat: self.setup.terms.granular_energy == GranularEnergyChoice::Transport,
+            gas_stress: self.setup.terms.gas_stress,
             courant: self.grid.spacing.map(|h| R::of(dt / h)),
             inverse_spacing,
             most_diffusivity: R::of(DIFFUSION / (dt * inverse_square)),
@@ -434,7 +448,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         if report.volume_residual > 100.0 * TOLERANCE {
             return Err(self.not_converged(&report));
         }
-        self.gas_speed = self.largest_courant(&self.gas);
+        self.find_gas_speed();
         self.next_dt = self.choose_step(longest, sound, diffusivity, inverse_square);
         if self.next_dt.0 < SHORTEST_STEP * self.time_scale() {
             return Err(self.collapsed());
@@ -452,6 +466,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         inverse_square: f64,
     ) -> (f64, Limit) {
         let tiny = 1e-300;
+        let diffusivity = diffusivity.max(gas_diffusivity(&self.setup));
         [
             (COURANT / (self.largest_courant(&self.solids) + tiny), Limit::Solids),
             (MOST_GAS_STEPS as f64 * COURANT / (self.gas_speed + tiny), Limit::Gas),
@@ -464,6 +479,12 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             (GROWTH * longest, Limit::Growth),
             |best, next| if next.0 < best.0 { next } else { best },
         )
+    }
+
+    /// Leaves how fast the gas carries momentum across a cell; 0 if it carries none.
+    fn find_gas_speed(&mut self) {
+        self.gas_speed =
+            if self.setup.terms.gas_inertia { self.largest_courant(&self.gas) } else { 0.0 };
     }
 
     /// u_t/g \[s\].
@@ -566,82 +587,15 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             momentum,
         }
     }
-
-    /// Leaves the resolved fields of this instant in `fine`, at cell centres.
-    ///
-    /// # Panics
-    /// When `fine` is of another grid.
-    pub fn fields(&self, fine: &mut FineFields<D>) {
-        assert_eq!(fine.grid, self.grid, "fields of another grid");
-        fine.time = self.time;
-        let theory = KineticTheory::<f64>::new(&self.setup.gas, &self.setup.powder);
-        let h = self.grid.spacing;
-        // Velocity of a phase at a centre, as the mean of the two faces.
-        let centre = |u: &Field<R, D>, a: usize, row: Row<D>, i: usize| {
-            0.5 * (u.row(row)[i].f64() + u.row(row.near(a, 1))[i].f64())
-        };
-        let strain = |a: usize, row: Row<D>, i: usize| {
-            let u = &self.solids[a];
-            (u.row(row.near(a, 1))[i].f64() - u.row(row)[i].f64()) / h[a]
-        };
-        let layout = self.rows.layout();
-        let mut cell = 0;
-        for row in (0..layout.rows()).map(|row| layout.row(row)) {
-            let (phi, theta) = (self.phi.row(row), self.theta.row(row));
-            let above: [_; D] = std::array::from_fn(|a| self.pressure.row(row.near(a, 1)));
-            let below: [_; D] = std::array::from_fn(|a| self.pressure.row(row.near(a, -1)));
-            for i in 0..self.grid.cells[0] {
-                let (phi, theta) = (phi[i].f64(), theta[i].f64());
-                let mut slip_squared = 0.0;
-                let mut divergence = 0.0;
-                for a in 0..D {
-                    let us = centre(&self.solids[a], a, row, i);
-                    let ug = centre(&self.gas[a], a, row, i);
-                    fine.solids_velocity[a][cell] = us;
-                    fine.gas_velocity[a][cell] = ug;
-                    slip_squared += (ug - us).powi(2);
-                    divergence += strain(a, row, i);
-                    fine.pressure_gradient[a][cell] =
-                        (above[a][i].f64() - below[a][i].f64()) / (2.0 * h[a]);
-                }
-                let drag = self.law.beta_per_fraction(phi, slip_squared.sqrt());
-                let g0 = self.contact.radial_distribution(phi);
-                let transport = theory.transport(phi, g0, theta, drag);
-                fine.solids_fraction[cell] = phi;
-                fine.granular_temperature[cell] = theta;
-                fine.drag_coefficient[cell] = phi * drag;
-                fine.solids_pressure[cell] = theory.pressure(phi, g0, theta)
-                    + self.contact.frictional_pressure(phi)
-                    - transport.bulk_viscosity * divergence;
-                for b in 0..D {
-                    for a in 0..=b {
-                        let strain = if a == b {
-                            strain(a, row, i) - divergence / 3.0
-                        } else {
-                            let across = |u: usize, by: usize| {
-                                let field = &self.solids[u];
-                                (centre(field, u, row.near(by, 1), i)
-                                    - centre(field, u, row.near(by, -1), i))
-                                    / (2.0 * h[by])
-                            };
-                            0.5 * (across(a, b) + across(b, a))
-                        };
-                        fine.solids_stress[symmetric_index(a, b)][cell] =
-                            -2.0 * transport.viscosity * strain;
-                    }
-                }
-                cell += 1;
-            }
-        }
-    }
 }
 
 /// Sweeps over the parts of a box: as many as may be made at once, none much smaller than what it
 /// makes again beside its neighbours.
-fn sweeps<R: Real, const D: usize>(layout: Layout<D>, parallel: bool) -> Vec<Sweep<R, D>> {
+fn sweeps<R: Real, const D: usize>(layout: Layout<D>, setup: &Setup) -> Vec<Sweep<R, D>> {
     let slabs = layout.cells[D - 1];
-    let parts = if parallel { threads().min(slabs / LEAST_SLABS).max(1) } else { 1 };
-    (0..parts).map(|n| Sweep::new(layout, n * slabs / parts, (n + 1) * slabs / parts)).collect()
+    let parts = if setup.parallel { threads().min(slabs / LEAST_SLABS).max(1) } else { 1 };
+    let end = |n| n * slabs / parts;
+    (0..parts).map(|n| Sweep::new(layout, setup, end(n), end(n + 1))).collect()
 }
 
 /// Does all sweeps, each of its part of `after`.
@@ -657,6 +611,19 @@ fn sweep_all<R: Real, const D: usize>(
     let (below, above) = after.split_at(upper[0].first_slab());
     let (a, b) = join(true, || sweep_all(lower, before, below), || sweep_all(upper, before, above));
     a.or(b)
+}
+
+/// Diffusivity of the gas's momentum \[m²/s\]; 0 if it has no stress.
+fn gas_diffusivity(setup: &Setup) -> f64 {
+    if setup.terms.gas_stress { setup.gas.viscosity / setup.gas.density } else { 0.0 }
+}
+
+/// The first time step, of [`FIRST_STEP`] or what the viscosity of the gas allows.
+fn first_step<const D: usize>(grid: &Grid<D>, setup: &Setup, time_scale: f64) -> (f64, Limit) {
+    let inverse_square: f64 = grid.spacing.iter().map(|h| 1.0 / (h * h)).sum();
+    let most = DIFFUSION / (gas_diffusivity(setup) * inverse_square);
+    let first = FIRST_STEP * time_scale;
+    if most < first { (most, Limit::Diffusion) } else { (first, Limit::Growth) }
 }
 
 /// Slip velocity of the uniform state \[m/s\].
@@ -676,6 +643,7 @@ fn uniform_temperature(setup: &Setup, g0: f64, slip: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::laws::drag::DragLaw;
     use crate::laws::scales::Scales;
     use crate::laws::scales::tests::{GAS, POWDER};
 
@@ -687,6 +655,7 @@ mod tests {
             drag: DragChoice::WenYu,
             radial_distribution: RadialDistributionChoice::Princeton,
             friction: FrictionChoice::Barrier,
+            terms: Terms::default(),
             solids_fraction,
             perturbation,
             seed: 1,
@@ -737,33 +706,237 @@ mod tests {
         }
     }
 
-    /// Fields after some steps, made in as many parts as there are `threads`.
-    fn in_parts<R: Real, const D: usize>(cells: [usize; D], threads: usize) -> Vec<u8> {
+    /// Fields after some steps of `setup`, made in as many parts as there are `threads`.
+    fn in_parts<R: Real, const D: usize>(
+        cells: [usize; D],
+        threads: usize,
+        setup: Setup,
+    ) -> (Vec<u8>, usize) {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let grid = Grid::new(cells.map(|n| 1.25e-3 * n as f64), cells);
-            let setup = Setup { parallel: threads > 1, ..setup(0.15, 0.5) };
+            let setup = Setup { parallel: threads > 1, ..setup };
             let mut flow = TwoFluid::<R, D>::new(grid, setup);
             assert_eq!(flow.sweeps.len(), threads);
             let mut most_gas_steps = 0;
             for _ in 0..300 {
                 most_gas_steps = most_gas_steps.max(flow.step(f64::INFINITY).unwrap().gas_steps);
             }
-            assert!(most_gas_steps > 1);
             let mut state = Vec::new();
             flow.save_state(&mut state).unwrap();
-            state
+            (state, most_gas_steps)
         })
     }
 
     #[test]
     fn parts_make_what_the_whole_makes() {
+        let base = setup(0.15, 0.5);
+        let (flat, deep) = ([32, 49], [16, 10, 50]);
         for threads in [2, 3] {
-            assert!(in_parts::<f64, 2>([32, 49], threads) == in_parts::<f64, 2>([32, 49], 1));
-            assert!(
-                in_parts::<f32, 3>([16, 10, 50], threads) == in_parts::<f32, 3>([16, 10, 50], 1)
-            );
+            let parts = in_parts::<f64, 2>(flat, threads, base);
+            assert!(parts == in_parts::<f64, 2>(flat, 1, base));
+            assert!(parts.1 > 1);
+            let parts = in_parts::<f32, 3>(deep, threads, base);
+            assert!(parts == in_parts::<f32, 3>(deep, 1, base));
         }
+        for setup in other_terms(base) {
+            let parts = in_parts::<f64, 2>(flat, 2, setup);
+            assert!(parts == in_parts::<f64, 2>(flat, 1, setup), "{:?}", setup.terms);
+            assert_eq!(parts.1 > 1, setup.terms.gas_inertia, "{:?}", setup.terms);
+        }
+    }
+
+    /// `setup` with terms that are not the default, one set after the other.
+    fn other_terms(setup: Setup) -> [Setup; 4] {
+        use GranularEnergyChoice::Algebraic;
+        let terms = setup.terms;
+        [
+            Setup { terms: Terms { gas_inertia: false, ..terms }, ..setup },
+            Setup { terms: Terms { granular_energy: Algebraic, ..terms }, ..setup },
+            Setup { terms: Terms { gas_stress: true, ..terms }, ..setup },
+            Setup {
+                terms: Terms { gas_inertia: false, gas_stress: true, granular_energy: Algebraic },
+                ..setup
+            },
+        ]
+    }
+
+    #[test]
+    fn mass_and_momentum_are_kept_whatever_terms_are_left_out() {
+        for setup in other_terms(setup(0.15, 0.3)) {
+            let mut flow =
+                TwoFluid::<f64, 3>::new(Grid::new([0.0125, 0.0125, 0.02], [10, 10, 16]), setup);
+            let start = flow.means();
+            for _ in 0..1500 {
+                flow.step(f64::INFINITY).unwrap();
+            }
+            let end = flow.means();
+            let mass = end.solids_fraction / start.solids_fraction - 1.0;
+            assert!(mass.abs() < 1e-13, "{:?}: {mass:e}", setup.terms);
+            for axis in 0..3 {
+                let drift = (end.momentum[axis] - start.momentum[axis]) / (1500.0 * 0.15 * 0.22);
+                assert!(drift.abs() < 1e-12, "{:?}: {drift:e} along {axis}", setup.terms);
+            }
+            assert!(end.solids_fraction_variance > 1e-3, "{:?}", setup.terms);
+        }
+    }
+
+    #[test]
+    fn algebraic_temperature_is_that_of_the_uniform_state_at_once() {
+        for phi in [0.01, 0.15, 0.4, 0.58] {
+            let base = setup(phi, 0.0);
+            let terms = Terms { granular_energy: GranularEnergyChoice::Algebraic, ..base.terms };
+            let grid = Grid::new([0.01, 0.01], [8, 8]);
+            let mut flow = TwoFluid::<f64, 2>::new(grid, Setup { terms, ..base });
+            flow.theta.set(|_| 0.0);
+            // The second step is from at rest to what the slip alone makes.
+            for _ in 0..2 {
+                flow.step(f64::INFINITY).unwrap();
+            }
+            let slip = flow.means().slip;
+            let drag = base.drag.law(&GAS, &POWDER).beta_per_fraction(phi, slip);
+            let g0 = flow.seen.contact.radial_distribution(phi);
+            let theory = KineticTheory::<f64>::new(&GAS, &POWDER);
+            let expected = theory.steady_temperature(phi, g0, drag, slip);
+            for found in [flow.theta.min(), flow.theta.max()] {
+                assert!((found / expected - 1.0).abs() < 1e-6, "{phi}: {found} {expected}");
+            }
+        }
+    }
+
+    /// Mean of T by solids mass over u_t² in a clustered bed, and the steps that 0.5 s took.
+    fn clustered_temperature(granular_energy: GranularEnergyChoice) -> (f64, usize) {
+        let base = setup(0.15, 0.5);
+        let terms = Terms { granular_energy, ..base.terms };
+        let grid = Grid::new([0.04, 0.04], [32, 32]);
+        let mut flow = TwoFluid::<f64, 2>::new(grid, Setup { terms, ..base });
+        let (mut heat, mut steps, mut samples) = (0.0, 0, 0.0);
+        while flow.time() < 0.5 {
+            flow.step(f64::INFINITY).unwrap();
+            steps += 1;
+            assert!(flow.theta.min() > 0.0 && flow.phi.min() >= 0.0);
+            if flow.time() > 0.25 {
+                let cells = flow.phi.interior().flatten().zip(flow.theta.interior().flatten());
+                heat += cells.map(|(phi, theta)| phi * theta).sum::<f64>() / (0.15 * 1024.0);
+                samples += 1.0;
+            }
+        }
+        assert!(flow.means().solids_fraction_variance > 5e-3);
+        let u_t = Scales::new(&POWDER, &GAS, 9.81).terminal_velocity;
+        (heat / samples / (u_t * u_t), steps)
+    }
+
+    #[test]
+    fn algebraic_temperature_of_a_clustered_bed_is_like_the_transported_one() {
+        let (transported, steps) = clustered_temperature(GranularEnergyChoice::Transport);
+        let (algebraic, most) = clustered_temperature(GranularEnergyChoice::Algebraic);
+        println!("T/u_t²: {transported} in {steps} steps, {algebraic} in {most}");
+        assert!((0.5..2.0).contains(&(algebraic / transported)), "{algebraic} {transported}");
+        assert!(most < 3 * steps, "{most} {steps}");
+    }
+
+    /// Gas almost alone that blows upward at 0.5 m/s and sways to the side as sin k z, k = 2π/1 cm:
+    /// amplitude of the swaying over the first, and how far it has turned \[rad\], after `time` \[s\].
+    fn swaying_gas(setup: Setup, time: f64) -> (f64, f64) {
+        let (cells, edge) = ([8, 64], 0.01);
+        let setup = Setup { solids_fraction: 1e-8, ..setup };
+        let mut flow = TwoFluid::<f64, 2>::new(Grid::new([edge / 8.0, edge], cells), setup);
+        let angle = |j: usize| std::f64::consts::TAU * (j as f64 + 0.5) / cells[1] as f64;
+        flow.gas[0].set(|[_, j]| 0.1 * angle(j).sin());
+        flow.gas[1].set(|_| 0.5);
+        flow.find_gas_speed();
+        while flow.time() < time {
+            flow.step(time).unwrap();
+        }
+        let (mut sine, mut cosine) = (0.0, 0.0);
+        for (j, row) in flow.gas[0].interior().enumerate() {
+            sine += row[0] * angle(j).sin() / 32.0;
+            cosine += row[0] * angle(j).cos() / 32.0;
+        }
+        (sine.hypot(cosine) / 0.1, (-cosine).atan2(sine))
+    }
+
+    #[test]
+    fn gas_carries_its_momentum_along_unless_that_is_left_out() {
+        let base = setup(0.15, 0.0);
+        let time = 4e-3;
+        let (amplitude, turned) = swaying_gas(base, time);
+        let expected = std::f64::consts::TAU * 0.5 * time / 0.01;
+        assert!((turned - expected).abs() < 0.02 && (amplitude - 1.0).abs() < 0.02);
+
+        let terms = Terms { gas_inertia: false, ..base.terms };
+        let (amplitude, turned) = swaying_gas(Setup { terms, ..base }, time);
+        // Drag by the solids, of 1e-8, takes 2e-6 in this time.
+        assert!(turned.abs() < 1e-9 && (amplitude - 1.0).abs() < 1e-5, "{amplitude} {turned}");
+    }
+
+    #[test]
+    fn friction_carries_a_shear_in_as_many_parts_as_there_are() {
+        use FrictionChoice::{Barrier, JohnsonJackson, SrivastavaSundaresan};
+        // A bed that is sheared as sin k z, k = 2π/1 cm, gas and all: Coulomb's stress takes
+        // P sin Φ ⟨|γ|⟩ of its kinetic energy, whatever the rate γ, the crests apart.
+        let (phi, edge, cells) = (0.59, 0.01, 32);
+        let wave = std::f64::consts::TAU / cells as f64;
+        let kinetic = |friction| {
+            let setup = Setup { friction, ..setup(phi, 0.0) };
+            let grid = Grid::new([edge, edge], [8, cells]);
+            let mut flow = TwoFluid::<f64, 2>::new(grid, setup);
+            let sway = |[_, j]: [usize; 2]| 2.0 * (wave * (j as f64 + 0.5)).sin();
+            flow.solids[0].set(sway);
+            flow.gas[0].set(sway);
+            flow.find_gas_speed();
+            let energy = |flow: &TwoFluid<f64, 2>| {
+                let squares = flow.solids[0].interior().flatten().map(|u| u * u).sum::<f64>();
+                0.5 * POWDER.density * phi * squares / (8 * cells) as f64
+            };
+            let before = energy(&flow);
+            flow.step(f64::INFINITY).unwrap();
+            (before - energy(&flow)) / flow.time()
+        };
+        let printed = 0.05 * f64::powi(phi - 0.5, 2) / f64::powi(0.65 - phi, 5);
+        // ⟨|γ|⟩ of a sine of amplitude 2 m/s is 4 · 2 per wavelength.
+        let expected = printed * crate::laws::friction::SINE * 8.0 / edge;
+        let without = kinetic(Barrier);
+        for friction in [JohnsonJackson, SrivastavaSundaresan] {
+            let found = kinetic(friction) - without;
+            assert!((found / expected - 1.0).abs() < 0.05, "{friction:?}: {found} {expected}");
+        }
+
+        let dense = Setup { friction: SrivastavaSundaresan, ..setup(0.53, 0.2) };
+        let whole = in_parts::<f64, 2>([16, 36], 1, dense);
+        assert!(whole.0 == in_parts::<f64, 2>([16, 36], 2, dense).0);
+        let unlike = in_parts::<f64, 2>([16, 36], 1, Setup { friction: Barrier, ..dense });
+        assert!(whole.0 != unlike.0);
+    }
+
+    #[test]
+    fn stress_of_the_gas_stops_its_swaying_at_the_rate_of_its_viscosity() {
+        let base = setup(0.15, 0.0);
+        let (time, wave) = (0.02, std::f64::consts::TAU / 0.01);
+        for gas_inertia in [false, true] {
+            let with = |gas_stress| {
+                let terms = Terms { gas_inertia, gas_stress, ..base.terms };
+                swaying_gas(Setup { terms, ..base }, time).0
+            };
+            let rate = (with(false) / with(true)).ln() / time;
+            let expected = GAS.viscosity / GAS.density * wave * wave;
+            assert!((rate / expected - 1.0).abs() < 0.01, "{gas_inertia}: {rate} {expected}");
+        }
+    }
+
+    #[test]
+    fn viscosity_of_the_gas_limits_the_step() {
+        // Cells of 0.1 mm and a gas a hundred times as viscous.
+        let gas = Gas { viscosity: 1.8e-3, ..GAS };
+        let base = Setup { gas, ..setup(0.1, 0.0) };
+        let terms = Terms { gas_stress: true, ..base.terms };
+        let grid = Grid::new([8e-4, 8e-4], [8, 8]);
+        let mut flow = TwoFluid::<f64, 2>::new(grid, Setup { terms, ..base });
+        let most = DIFFUSION / (gas.viscosity / gas.density * 2e8);
+        for _ in 0..100 {
+            assert!(flow.step(f64::INFINITY).unwrap().dt <= most * (1.0 + 1e-12));
+        }
+        assert_eq!(flow.next_dt.1, Limit::Diffusion);
     }
 
     /// The most solids in a cell of a dense bed of coarse powder, in `steps` steps.

@@ -12,7 +12,7 @@ mod manufactured;
 mod pressure;
 mod symmetry;
 
-use crate::case::{DragChoice, FrictionChoice, RadialDistributionChoice};
+use crate::case::{DragChoice, FrictionChoice, RadialDistributionChoice, Terms};
 use crate::laws::scales::{Gas, Powder};
 use crate::two_fluid::Setup;
 use serde::Serialize;
@@ -128,6 +128,7 @@ fn setup(solids_fraction: f64) -> Setup {
         drag: DragChoice::WenYu,
         radial_distribution: RadialDistributionChoice::Princeton,
         friction: FrictionChoice::Barrier,
+        terms: Terms::default(),
         solids_fraction,
         perturbation: 0.0,
         seed: 0,

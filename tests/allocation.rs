@@ -1,6 +1,6 @@
 //! A step allocates nothing.
 
-use favre::case::{DragChoice, FrictionChoice, RadialDistributionChoice};
+use favre::case::{DragChoice, FrictionChoice, RadialDistributionChoice, Terms};
 use favre::grid::Grid;
 use favre::laws::scales::{Gas, Powder};
 use favre::two_fluid::{Setup, TwoFluid};
@@ -35,6 +35,7 @@ fn allocations_of_steps<const D: usize>(cells: [usize; D]) -> usize {
         drag: DragChoice::WenYu,
         radial_distribution: RadialDistributionChoice::Princeton,
         friction: FrictionChoice::Barrier,
+        terms: Terms::default(),
         solids_fraction: 0.15,
         perturbation: 0.1,
         seed: 3,

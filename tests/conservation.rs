@@ -1,6 +1,6 @@
 //! What the two-fluid model must keep to round-off, over ten thousand steps.
 
-use favre::case::{DragChoice, FrictionChoice, RadialDistributionChoice};
+use favre::case::{DragChoice, FrictionChoice, RadialDistributionChoice, Terms};
 use favre::grid::Grid;
 use favre::laws::scales::{Gas, Powder};
 use favre::two_fluid::{Setup, TwoFluid};
@@ -13,6 +13,7 @@ fn setup(solids_fraction: f64) -> Setup {
         drag: DragChoice::WenYu,
         radial_distribution: RadialDistributionChoice::Princeton,
         friction: FrictionChoice::Barrier,
+        terms: Terms::default(),
         solids_fraction,
         perturbation: 0.1,
         seed: 3,

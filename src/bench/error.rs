@@ -9,7 +9,8 @@
 use super::{BenchError, SOLIDS_FRACTION, name};
 use crate::blocking::{self, Estimator};
 use crate::case::{
-    Case, DEFAULT, DragChoice, FrictionChoice, Physics, Precision, RadialDistributionChoice,
+    Case, DEFAULT, DragChoice, FrictionChoice, GranularEnergyChoice, Physics, Precision,
+    RadialDistributionChoice,
 };
 use crate::fine::FineFields;
 use crate::grid::Grid;
@@ -226,6 +227,11 @@ fn variants(physics: &Physics, cells: [usize; 2], quick: bool) -> Vec<Variant> {
     };
     vary("no friction", &|p| p.friction = FrictionChoice::None);
     vary("friction: Johnson-Jackson", &|p| p.friction = FrictionChoice::JohnsonJackson);
+    vary("no gas inertia", &|p| p.terms.gas_inertia = false);
+    vary("gas stress", &|p| p.terms.gas_stress = true);
+    vary("algebraic granular energy", &|p| {
+        p.terms.granular_energy = GranularEnergyChoice::Algebraic;
+    });
     vary("contacts: Carnahan-Starling", &|p| {
         p.radial_distribution = RadialDistributionChoice::CarnahanStarling;
     });

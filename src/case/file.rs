@@ -24,7 +24,18 @@ pub(super) const SECTIONS: [(&str, &[&str]); 7] = [
     ("powder", &["diameter", "density", "restitution", "max_packing"]),
     ("gas", &["density", "viscosity"]),
     ("box", &["size", "cells", "cell", "solids_fraction"]),
-    ("physics", &["drag", "radial_distribution", "friction", "granular_energy", "gravity"]),
+    (
+        "physics",
+        &[
+            "drag",
+            "radial_distribution",
+            "friction",
+            "granular_energy",
+            "gas_inertia",
+            "gas_stress",
+            "gravity",
+        ],
+    ),
     ("filter", &["widths", "markers", "solids_fraction_bin", "slip_bin"]),
     ("run", &["duration", "sample_interval", "seed", "perturbation", "precision"]),
     ("output", &["fields", "fields_interval"]),
@@ -331,6 +342,8 @@ pub(super) struct PhysicsFile {
     pub radial_distribution: Option<Typed<RadialDistributionChoice>>,
     pub friction: Option<Typed<FrictionChoice>>,
     pub granular_energy: Option<Typed<GranularEnergyChoice>>,
+    pub gas_inertia: Option<Typed<bool>>,
+    pub gas_stress: Option<Typed<bool>>,
     pub gravity: Option<Typed<f64>>,
 }
 
@@ -435,6 +448,8 @@ pub(super) fn read(text: &str, problems: &mut Problems<'_>) -> Option<CaseFile> 
             radial_distribution: section.optional("radial_distribution", choice),
             friction: section.optional("friction", choice),
             granular_energy: section.optional("granular_energy", choice),
+            gas_inertia: section.optional("gas_inertia", switch),
+            gas_stress: section.optional("gas_stress", switch),
             gravity: section.optional("gravity", number),
         }
     };
@@ -693,6 +708,17 @@ fn whole_number(value: &Value<'_>) -> Read<u64> {
             .ok_or(format!("a whole number between 0 and {} is expected", i64::MAX)),
         DeValue::Float(_) => Err("a whole number is expected, without a decimal point".to_owned()),
         other => Err(format!("a whole number is expected, not {}", name_of(other))),
+    }
+}
+
+/// `true` or `false`.
+fn switch(value: &Value<'_>) -> Read<bool> {
+    match value.get_ref() {
+        DeValue::Boolean(on) => Ok(*on),
+        DeValue::String(_) => {
+            Err("true or false is expected, not text: remove the quotes".to_owned())
+        }
+        other => Err(format!("true or false is expected, not {}", name_of(other))),
     }
 }
 

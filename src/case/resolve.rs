@@ -9,8 +9,8 @@ use super::file::{
     CaseFile, DomainFile, FilterFile, OutputFile, Problems, Quantity, RunFile, Typed, Unit,
 };
 use super::{
-    Case, Domain, DragChoice, FieldsChoice, FilterCase, FrictionChoice, GranularEnergyChoice,
-    MarkerChoice, OutputCase, Physics, Precision, RadialDistributionChoice, RunCase,
+    Case, Domain, DragChoice, FieldsChoice, FilterCase, FrictionChoice, MarkerChoice, OutputCase,
+    Physics, Precision, RadialDistributionChoice, RunCase, Terms,
 };
 use crate::laws::scales::{Gas, Powder, Scales};
 
@@ -118,17 +118,26 @@ pub(super) fn resolve(
                 .friction
                 .as_ref()
                 .map_or(FrictionChoice::Barrier, |typed| typed.value),
-            granular_energy: file
-                .physics
-                .granular_energy
-                .as_ref()
-                .map_or(GranularEnergyChoice::Transport, |typed| typed.value),
+            terms: resolve_terms(file),
             gravity: gravity?,
         },
         filter: filter?,
         run: run?,
         output: output?,
     })
+}
+
+fn resolve_terms(file: &CaseFile) -> Terms {
+    let (typed, default) = (&file.physics, Terms::default());
+    let value = |typed: &Option<Typed<bool>>, default| typed.as_ref().map_or(default, |t| t.value);
+    Terms {
+        granular_energy: typed
+            .granular_energy
+            .as_ref()
+            .map_or(default.granular_energy, |typed| typed.value),
+        gas_inertia: value(&typed.gas_inertia, default.gas_inertia),
+        gas_stress: value(&typed.gas_stress, default.gas_stress),
+    }
 }
 
 fn resolve_powder(file: &CaseFile, problems: &mut Problems<'_>) -> Option<Powder> {

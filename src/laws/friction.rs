@@ -1,8 +1,7 @@
 //! Friction: what enduring contacts of the particles add to the stress of a dense bed.
 //!
-//! The solver adds the pressure of a law to the kinetic one. The frictional viscosities are laws
-//! of their own that it does not use: the founding papers of the kinetic-theory model have none,
-//! and an explicit step would have to cut them.
+//! The solver adds the pressure of a law to the kinetic one, and its viscosity, if it has one, to
+//! the kinetic viscosity. [`dilation`], the effect of a change of volume on friction, it leaves out.
 
 use super::scales::Powder;
 use crate::real::Real;
@@ -11,7 +10,23 @@ use crate::real::Real;
 pub trait Friction<R: Real>: Copy + Send + Sync {
     /// (P \[Pa\], (dP/dφ)/ρ_s \[m²/s²\]) at φ; both finite at any φ, P continuous.
     fn pressure(&self, solids_fraction: R) -> (R, R);
+
+    /// Whether it has a viscosity.
+    const VISCOUS: bool = false;
+
+    /// Viscosity \[Pa·s\] at φ, granular temperature T \[m²/s²\] and I₂ = ½ S:S, S the deviatoric rate
+    /// of strain \[1/s²\]; at most [`MOST_VISCOSITY`].
+    #[inline(always)]
+    fn viscosity(&self, _solids_fraction: R, _temperature: R, _second_invariant: R) -> R {
+        R::ZERO
+    }
 }
+
+/// sin Φ of the angle of internal friction Φ = 28.5° \[-\].
+pub const SINE: f64 = 0.477_158_760_259_608_4;
+
+/// Largest frictional viscosity \[Pa·s\], where nothing is sheared.
+pub const MOST_VISCOSITY: f64 = 100.0;
 
 /// No friction: only the kinetic pressure carries a dense bed.
 #[derive(Clone, Copy, Debug)]
@@ -93,6 +108,13 @@ impl<R: Real> Friction<R> for Schaeffer<R> {
         let pressure = R::of(1e4) * ninth * x + slope * (excess - curved);
         (pressure, slope * self.inverse_density)
     }
+
+    const VISCOUS: bool = true;
+
+    #[inline(always)]
+    fn viscosity(&self, phi: R, _: R, second_invariant: R) -> R {
+        coulomb_viscosity(self.pressure(phi).0, R::of(SINE), second_invariant)
+    }
 }
 
 /// P = Fr (φ - φ_min)² / (φ_max - φ)⁵ up to some φ, along its tangent from there on: the pressure
@@ -153,35 +175,55 @@ impl<R: Real> Friction<R> for JohnsonJackson<R> {
     fn pressure(&self, phi: R) -> (R, R) {
         self.0.pressure(phi)
     }
+
+    const VISCOUS: bool = true;
+
+    #[inline(always)]
+    fn viscosity(&self, phi: R, _: R, second_invariant: R) -> R {
+        coulomb_viscosity(self.pressure(phi).0, R::of(SINE), second_invariant)
+    }
 }
 
 /// Srivastava & Sundaresan (2003, Powder Technol. 129:72) in the critical state, that is without
 /// the effect of dilation ([`dilation`]): the pressure of [`JohnsonJackson`], followed on to
 /// φ_max - 0.03. There it is 30 kPa, the weight of two metres of sand; nearer to the packing only
-/// its speed of sound would grow.
+/// its speed of sound would grow. Its viscosity √2 P sin Φ / (2 ζ), ζ² = S:S + T/d², is Coulomb's
+/// with the fluctuations of the particles added to the rate of strain.
 #[derive(Clone, Copy, Debug)]
-pub struct SrivastavaSundaresan<R>(Yield<R>);
+pub struct SrivastavaSundaresan<R> {
+    state: Yield<R>,
+    /// 1/(2 d²) \[1/m²\].
+    fluctuation: R,
+}
 
 impl<R: Real> SrivastavaSundaresan<R> {
     /// The friction of `powder`. Where φ_max is below 0.6, φ_min is φ_max - 0.1.
     pub fn new(powder: &Powder) -> Self {
-        Self(Yield::new(powder, 0.03))
+        Self { state: Yield::new(powder, 0.03), fluctuation: R::of(0.5 / powder.diameter.powi(2)) }
     }
 }
 
 impl<R: Real> Friction<R> for SrivastavaSundaresan<R> {
     #[inline(always)]
     fn pressure(&self, phi: R) -> (R, R) {
-        self.0.pressure(phi)
+        self.state.pressure(phi)
+    }
+
+    const VISCOUS: bool = true;
+
+    #[inline(always)]
+    fn viscosity(&self, phi: R, temperature: R, second_invariant: R) -> R {
+        let rate = second_invariant + self.fluctuation * temperature;
+        coulomb_viscosity(self.pressure(phi).0, R::of(SINE), rate)
     }
 }
 
 /// Frictional viscosity \[Pa·s\] of a Coulomb material (Schaeffer 1987; also Johnson & Jackson's in
-/// common codes): μ = P sin Φ / (2 √I₂), at most 100 Pa·s, with I₂ = ½ S:S, S the deviatoric rate
+/// common codes): μ = P sin Φ / (2 √I₂), at most [`MOST_VISCOSITY`], with I₂ = ½ S:S, S the deviatoric rate
 /// of strain \[1/s²\], and Φ the angle of internal friction, about 28.5°.
 #[inline(always)]
 pub fn coulomb_viscosity<R: Real>(pressure: R, sine: R, second_invariant: R) -> R {
-    let most = R::of(100.0);
+    let most = R::of(MOST_VISCOSITY);
     // A denominator that cannot vanish, chosen so that the bound is met exactly.
     let shear = pressure * sine;
     let floor = shear / most + R::of(1e-30);
@@ -214,9 +256,6 @@ pub fn dilation<R: Real>(critical_pressure: R, sine: R, divergence: R, rate: R) 
 mod tests {
     use super::super::scales::tests::POWDER;
     use super::*;
-
-    /// sin 28.5°.
-    const SINE: f64 = 0.477_158_760_259_608_4;
 
     /// Slope over ρ_s is the derivative, the pressure has no jump, and both precisions agree.
     fn check(law: impl Friction<f64>, single: impl Friction<f32>) {
@@ -288,6 +327,25 @@ mod tests {
         }
         assert!((coulomb_viscosity(500.0, SINE, 0.0) - 100.0).abs() < 1e-9);
         assert_eq!(coulomb_viscosity(0.0, SINE, 0.0), 0.0);
+    }
+
+    #[test]
+    fn viscosities_are_those_of_the_formulae_as_printed() {
+        assert!((SINE - 28.5f64.to_radians().sin()).abs() < 1e-15);
+        // Simple shear at 50 /s: S:S = 1250 /s², I₂ = 625 /s².
+        let (phi, t, square) = (0.58, 4e-7, 625.0);
+        let printed = 0.05 * f64::powi(phi - 0.5, 2) / f64::powi(0.65 - phi, 5);
+        let found = JohnsonJackson::<f64>::new(&POWDER).viscosity(phi, t, square);
+        assert!((found / (printed * SINE / 50.0) - 1.0).abs() < 1e-9);
+        let zeta = (1250.0 + t / f64::powi(75e-6, 2)).sqrt();
+        let found = SrivastavaSundaresan::<f64>::new(&POWDER).viscosity(phi, t, square);
+        assert!((found / (2f64.sqrt() * printed * SINE / (2.0 * zeta)) - 1.0).abs() < 1e-9);
+        // And what `dilation` says of no dilation.
+        assert!((found / dilation(printed, SINE, 0.0, zeta).1 - 1.0).abs() < 1e-9);
+        let found = Schaeffer::<f64>::new(&POWDER).viscosity(0.656, t, square);
+        assert!((found / (1e24 * f64::powi(0.006, 10) * SINE / 50.0) - 1.0).abs() < 1e-9);
+        assert_eq!(Schaeffer::<f64>::new(&POWDER).viscosity(0.64, t, square), 0.0);
+        assert_eq!(PackingBarrier::<f64>::new(&POWDER).viscosity(0.65, t, square), 0.0);
     }
 
     #[test]

@@ -310,6 +310,30 @@ pub fn balance_temperature<R: Real>(
     s * s
 }
 
+/// Granular temperature at which the sources of a cell balance \[m²/s²\]:
+/// `heating` + c T^(-1/2) = a T^(3/2) + b T with a `collisional`, b `damping` (above zero), c `slip`.
+///
+/// With s = √T a quartic that is convex where s > 0, so Newton's method from above its one positive
+/// root falls to it. Without sources next to nothing, yet above zero.
+#[inline(always)]
+pub fn balanced_temperature<R: Real>(heating: R, collisional: R, damping: R, slip: R) -> R {
+    // The root is below that without collisions, at most 1.055 (x³ + y³)^(1/3), and below that
+    // without damping, at most (h/a)^(1/3) + (c/a)^(1/4). The floor of a keeps the second finite
+    // and above the first, for any T below 1e8 m²/s².
+    let x2 = heating / damping;
+    let damped = R::of(1.055) * (x2 * x2.sqrt() + slip / damping).max(R::of(1e-36)).cbrt();
+    let inverse = R::ONE / collisional.max(R::of(1e-6) * damping);
+    let colliding = (heating * inverse).max(R::of(1e-36)).cbrt() + (slip * inverse).sqrt().sqrt();
+    let mut s = damped.min(colliding);
+    for _ in 0..5 {
+        let s2 = s * s;
+        let value = (collisional * s + damping) * s2 * s - heating * s - slip;
+        let slope = (R::of(4.0) * collisional * s + R::of(3.0) * damping) * s2 - heating;
+        s -= value / slope;
+    }
+    s * s
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::scales::tests::{GAS, POWDER};
@@ -459,6 +483,34 @@ mod tests {
                 assert!(found.conductivity.is_finite() && found.conductivity >= 0.0);
             }
         }
+    }
+
+    #[test]
+    fn balanced_temperature_balances_the_sources() {
+        for (heating, collisional, damping, slip) in [
+            (0.1, 500.0, 200.0, 1e-4),
+            (0.0, 5e3, 500.0, 1e-3),
+            (100.0, 1e5, 1e3, 1e-6),
+            (1e-6, 1e7, 1.0, 1e-9),
+            (1e3, 0.0, 1.0, 0.0),
+            (0.0, 0.0, 100.0, 1e-7),
+        ] {
+            let t: f64 = balanced_temperature(heating, collisional, damping, slip);
+            let made = heating + slip / t.sqrt();
+            let lost = collisional * t.powf(1.5) + damping * t;
+            assert!((made / lost - 1.0).abs() < 1e-6, "{t}: {made} {lost}");
+            let single = balanced_temperature(
+                heating as f32,
+                collisional as f32,
+                damping as f32,
+                slip as f32,
+            );
+            assert!((f64::from(single) / t - 1.0).abs() < 1e-4, "{single} {t}");
+        }
+        let nothing: f64 = balanced_temperature(0.0, 1e4, 100.0, 0.0);
+        assert!(nothing > 0.0 && nothing < 1e-20, "{nothing}");
+        let single: f32 = balanced_temperature(0.0, 1e4, 100.0, 0.0);
+        assert!(single > 0.0 && single < 1e-20, "{single}");
     }
 
     #[test]

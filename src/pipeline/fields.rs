@@ -1,16 +1,18 @@
 //! [`filter`]: from fields on disk to a bin table; and what a run does with its own fields.
 
-use super::{RunError, RunOptions};
+use super::{RunError, RunOptions, sums_system};
 use crate::case::{Case, FieldsChoice};
 use crate::checkpoint::Checkpoints;
 use crate::output::{Output, OutputError, RUN_FILE};
+use crate::pool::Pool;
 use crate::resolved::Resolved;
 use crate::resolved::map::Map;
 use crate::resolved::series::{Instant, Reader, runs};
 use crate::resolved::write::{Recorder, write_series};
 use crate::simulate::{Signals, samples, stored_sampling};
-use crate::statistics::{Sums, bin_table};
+use crate::statistics::Sums;
 use crate::stored::{StoredFields, StoredSampler};
+use crate::sums::{RunSums, SUMS_FILE, SumsFile};
 use crate::table::write_rows;
 use serde::Serialize;
 use std::fmt;
@@ -92,16 +94,24 @@ pub fn filter(
     let Some(case) = case else {
         return Err(RunError::NoFields);
     };
-    let scales = case.scales();
-    let bins = bin_table(&sums, &scales)?;
+    let runs = read.iter().zip(sums).map(|(run, sums)| RunSums {
+        name: run.first.display().to_string(),
+        solids_fraction: run.solids_fraction,
+        sums,
+    });
+    let pool = Pool::new(SumsFile { system: sums_system(&case), runs: runs.collect() })?;
     output.write("case.toml", |file| file.write_all(case.to_toml().as_bytes()))?;
-    output.write("bins.csv", |file| write_rows(&bins, file).map_err(io::Error::other))?;
+    output.write("bins.csv", |file| write_rows(&pool.bins, file).map_err(io::Error::other))?;
+    output.write(SUMS_FILE, |file| pool.file.write(file))?;
+    output.write("disagreements.csv", |file| {
+        pool.write_disagreements(file).map_err(io::Error::other)
+    })?;
     let summary = FilterSummary {
         version: env!("CARGO_PKG_VERSION"),
         case: toml::from_str(&case.to_toml()).unwrap_or_default(),
         runs: read,
         widths: case.filter.widths.clone(),
-        bins: bins.len(),
+        bins: pool.bins.len(),
         warnings,
     };
     output.write(RUN_FILE, |file| Ok(serde_json::to_writer_pretty(file, &summary)?))?;

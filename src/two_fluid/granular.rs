@@ -3,7 +3,9 @@
 use super::{GHOST, Medium};
 use crate::laws::drag::DragLaw;
 use crate::laws::friction::Friction;
-use crate::laws::kinetic_theory::{KineticTheory, RadialDistribution, balance_temperature};
+use crate::laws::kinetic_theory::{
+    KineticTheory, RadialDistribution, balance_temperature, balanced_temperature,
+};
 use crate::real::Real;
 use crate::rows::{by_axis, cut, simd, sum_axes};
 
@@ -34,7 +36,9 @@ simd! {
 pub(super) trait ContactRow<R>: Send + Sync {
     /// Leaves g0, viscosity, bulk viscosity, conductivity, and the largest diffusivity of the cells
     /// that are not nearly empty \[m²/s\]. Of `bounds` the first is what bounds the diffusivities of a
-    /// nearly empty cell \[m²/s\], the second the solids fraction from which on a cell is none.
+    /// nearly empty cell \[m²/s\], the second the solids fraction from which on a cell is none. The
+    /// conductivity is made, and counts as a diffusivity, only if it `conducts`.
+    #[allow(clippy::too_many_arguments)]
     fn kinetic(
         &self,
         outputs: [&mut [R]; 5],
@@ -43,6 +47,23 @@ pub(super) trait ContactRow<R>: Send + Sync {
         theta: &[R],
         drag: &[R],
         bounds: [R; 2],
+        conducts: bool,
+    );
+
+    /// Whether friction has a viscosity.
+    fn rubs(&self) -> bool;
+
+    /// Adds the frictional viscosity, `strain` being I₂ of [`strain_row`] \[1/s²\]. The sum is bounded as
+    /// the kinetic viscosity is, by `most_diffusivity` \[m²/s\], and does not limit the time step:
+    /// what hardly shears creeps instead of standing still.
+    fn rub(
+        &self,
+        viscosity: &mut [R],
+        density: R,
+        phi: &[R],
+        theta: &[R],
+        strain: &[R],
+        most_diffusivity: R,
     );
 
     /// Leaves the solids pressure and the square of the speed of sound \[m²/s²\].
@@ -62,7 +83,11 @@ pub(super) trait ContactRow<R>: Send + Sync {
     fn radial_distribution(&self, phi: R) -> R;
 
     /// Frictional pressure of one cell \[Pa\].
+    #[cfg(test)]
     fn frictional_pressure(&self, phi: R) -> R;
+
+    /// Frictional viscosity of one cell \[Pa·s\]; arguments as of [`Friction::viscosity`].
+    fn frictional_viscosity(&self, phi: R, theta: R, second_invariant: R) -> R;
 }
 
 /// A radial distribution and a friction.
@@ -81,20 +106,44 @@ impl<R: Real, G: RadialDistribution<R>, F: Friction<R>> ContactRow<R> for Contac
         theta: &[R],
         drag: &[R],
         bounds: [R; 2],
+        conducts: bool,
     ) {
-        kinetic_row(
-            g0,
-            viscosity,
-            bulk,
-            conductivity,
-            diffusivity,
-            medium,
-            self.radial,
-            phi,
-            theta,
-            drag,
-            bounds,
-        );
+        // A kernel for each answer.
+        macro_rules! made {
+            ($conducts:literal) => {
+                kinetic_row(
+                    g0,
+                    viscosity,
+                    bulk,
+                    conductivity,
+                    diffusivity,
+                    medium,
+                    self.radial,
+                    phi,
+                    theta,
+                    drag,
+                    bounds,
+                    Conducts::<$conducts>,
+                )
+            };
+        }
+        if conducts { made!(true) } else { made!(false) }
+    }
+
+    fn rubs(&self) -> bool {
+        F::VISCOUS
+    }
+
+    fn rub(
+        &self,
+        viscosity: &mut [R],
+        density: R,
+        phi: &[R],
+        theta: &[R],
+        strain: &[R],
+        most_diffusivity: R,
+    ) {
+        rub_row(viscosity, density, self.friction, phi, theta, strain, most_diffusivity);
     }
 
     fn pressure(
@@ -115,8 +164,76 @@ impl<R: Real, G: RadialDistribution<R>, F: Friction<R>> ContactRow<R> for Contac
         self.radial.contact(phi)
     }
 
+    #[cfg(test)]
     fn frictional_pressure(&self, phi: R) -> R {
         self.friction.pressure(phi).0
+    }
+
+    fn frictional_viscosity(&self, phi: R, theta: R, second_invariant: R) -> R {
+        self.friction.viscosity(phi, theta, second_invariant)
+    }
+}
+
+simd! {
+    fn rub_row[R: Real, F: Friction<R>](
+        viscosity: &mut [R],
+        density: R,
+        friction: F,
+        phi: &[R],
+        theta: &[R],
+        strain: &[R],
+        most_diffusivity: R,
+    ) {
+        let n = viscosity.len();
+        let (phi, theta, strain) = (&phi[..n], &theta[..n], &strain[..n]);
+        for i in 0..n {
+            let bound = most_diffusivity * density * (phi[i] + R::of(GHOST));
+            let contacts = friction.viscosity(phi[i], theta[i], strain[i]);
+            viscosity[i] = (viscosity[i] + contacts).min(bound);
+        }
+    }
+}
+
+simd! {
+    /// ½ (Σ D_aa² - (∇·u)²/3), the part of I₂ = ½ S:S that the normal rates of strain make \[1/s²\].
+    pub(super) fn strain_row[R: Real, const D: usize](
+        strain: &mut [R],
+        u: [[&[R]; 2]; D],
+        inverse_spacing: [R; D],
+    ) {
+        let n = strain.len();
+        let u = by_axis(u, n);
+        for i in 0..n {
+            let divergence = sum_axes!(D, u, |[lower, upper], a| {
+                inverse_spacing[a] * (upper[i] - lower[i])
+            });
+            let square = sum_axes!(D, u, |[lower, upper], a| {
+                let rate = inverse_spacing[a] * (upper[i] - lower[i]);
+                rate * rate
+            });
+            // The sum of squares is never less, but for round-off.
+            strain[i] = (R::of(0.5) * (square - R::of(1.0 / 3.0) * divergence * divergence))
+                .max(R::ZERO);
+        }
+    }
+}
+
+simd! {
+    /// Adds to I₂ what the shear rate γ of one pair of axes makes, γ²/4: the mean of γ of a cell's four
+    /// edges. `u` is each component above and below along the other axis, on either face.
+    pub(super) fn shear_strain_row[R: Real](
+        strain: &mut [R],
+        u: [[&[R]; 4]; 2],
+        inverse_spacing: [R; 2],
+    ) {
+        let n = strain.len();
+        let u = [cut(u[0], n), cut(u[1], n)];
+        for i in 0..n {
+            let across = |u: &[&[R]; 4]| (u[0][i] + u[1][i]) - (u[2][i] + u[3][i]);
+            let rate = inverse_spacing[1] * across(&u[0]) + inverse_spacing[0] * across(&u[1]);
+            // The mean of two faces, over two cells: a quarter; γ²/4 once more.
+            strain[i] += R::of(1.0 / 64.0) * rate * rate;
+        }
     }
 }
 
@@ -164,8 +281,12 @@ simd! {
     }
 }
 
+/// Whether granular energy is conducted.
+#[derive(Clone, Copy)]
+struct Conducts<const YES: bool>;
+
 simd! {
-    fn kinetic_row[R: Real, G: RadialDistribution<R>](
+    fn kinetic_row[R: Real, G: RadialDistribution<R>, const CONDUCTS: bool](
         g0: &mut [R],
         viscosity: &mut [R],
         bulk: &mut [R],
@@ -177,6 +298,7 @@ simd! {
         theta: &[R],
         drag: &[R],
         bounds: [R; 2],
+        _conducts: Conducts<CONDUCTS>,
     ) {
         let n = g0.len();
         let (viscosity, bulk, conductivity) =
@@ -194,11 +316,11 @@ simd! {
             g0[i] = contact;
             viscosity[i] = transport.viscosity.min(bound);
             bulk[i] = transport.bulk_viscosity.min(R::of(0.25) * bound);
-            conductivity[i] = transport.conductivity.min(bound);
-            let most = transport
-                .viscosity
-                .max(R::of(4.0) * transport.bulk_viscosity)
-                .max(transport.conductivity);
+            let mut most = transport.viscosity.max(R::of(4.0) * transport.bulk_viscosity);
+            if CONDUCTS {
+                conductivity[i] = transport.conductivity.min(bound);
+                most = most.max(transport.conductivity);
+            }
             diffusivity[i] = R::select(phi[i] > nearly_empty, most / mass, R::ZERO);
         }
     }
@@ -227,6 +349,23 @@ simd! {
             let strain = (u[0][1][i] - u[0][0][i]) + (u[1][1][i] - u[1][0][i]);
             heating[i] += inverse_spacing * inverse_spacing * (upper - lower)
                 + R::of(0.5) * inverse_spacing * normal[i] * strain;
+        }
+    }
+}
+
+simd! {
+    /// Adds τ_aa ∂(u + u')/2 along one axis \[W/m³\].
+    pub(super) fn normal_heating_row[R: Real](
+        heating: &mut [R],
+        normal: &[R],
+        u: [[&[R]; 2]; 2],
+        inverse_spacing: R,
+    ) {
+        let n = heating.len();
+        let (normal, u) = (&normal[..n], [cut(u[0], n), cut(u[1], n)]);
+        for i in 0..n {
+            let strain = (u[0][1][i] - u[0][0][i]) + (u[1][1][i] - u[1][0][i]);
+            heating[i] += R::of(0.5) * inverse_spacing * normal[i] * strain;
         }
     }
 }
@@ -285,6 +424,58 @@ simd! {
                 damping,
                 theory.slip_production(g0[i], slip_squared[i]),
                 dt,
+            );
+        }
+    }
+}
+
+simd! {
+    /// Temperature at which the sources of a cell balance; `theta_new` holds the viscous heating,
+    /// `theta` is the temperature before, by which compression heats.
+    ///
+    /// What strain makes is bounded by 3 T ≤ (Δu)², the squared difference of velocities that the
+    /// strain makes over a cell, h² of `cell_squared` times its rate. In a thin suspension, where
+    /// strain is faster than drag damps, the balance alone has temperatures without bound, and a
+    /// pressure that does more work in a step than was ever put in.
+    pub(super) fn algebraic_row[R: Real, const D: usize](
+        theta_new: &mut [R],
+        medium: &Medium<R>,
+        phi: &[R],
+        theta: &[R],
+        g0: &[R],
+        drag: &[R],
+        slip_squared: &[R],
+        u: [[&[R]; 2]; D],
+        inverse_spacing: [R; D],
+        viscosity: &[R],
+        cell_squared: R,
+    ) {
+        let n = theta_new.len();
+        let (phi, theta, viscosity) = (&phi[..n], &theta[..n], &viscosity[..n]);
+        let (g0, drag, slip_squared) = (&g0[..n], &drag[..n], &slip_squared[..n]);
+        let u = by_axis(u, n);
+        let theory = medium.theory;
+        for i in 0..n {
+            let divergence = sum_axes!(D, u, |[lower, upper], a| {
+                inverse_spacing[a] * (upper[i] - lower[i])
+            });
+            let compressibility = theory.compressibility(phi[i], g0[i]);
+            let collisional = theory.collisional_dissipation(phi[i], g0[i]);
+            let damping = theory.viscous_dissipation(drag[i]);
+            let work = compressibility * divergence;
+            let third = R::of(1.0 / 3.0) * cell_squared;
+            let most = divergence.abs() * third.sqrt();
+            let compression = (-work).max(R::ZERO).min(damping + collisional * most);
+            // Viscous heating is ν times the rate of strain squared.
+            let shear = theta_new[i].max(R::ZERO);
+            let mass = medium.solids_density * (phi[i] + R::of(GHOST));
+            let most = third * shear * mass / (viscosity[i] + R::of(1e-30));
+            let shear = shear.min((damping + collisional * most.sqrt()) * most);
+            theta_new[i] = balanced_temperature(
+                shear + theta[i] * compression,
+                collisional,
+                damping + work.max(R::ZERO),
+                theory.slip_production(g0[i], slip_squared[i]),
             );
         }
     }

@@ -13,8 +13,9 @@ use super::exchange::{self, Inertia};
 use super::granular;
 use super::imposed::Sources;
 use super::stress::{self, around, pair, pairs, shear_lines};
-use super::transport::{self, Line, Share};
-use super::{MOST_GAS_STEPS, Medium};
+use super::transport::{self, Line, Share, Wanted};
+use super::{MOST_GAS_STEPS, Medium, Setup};
+use crate::case::GranularEnergyChoice;
 use crate::field::{Faces, Field, Layout, Lines, Ring, Row, Slabs, fill};
 use crate::real::Real;
 use crate::rows::{max_abs, per_axis};
@@ -31,8 +32,12 @@ pub(super) struct Before<'a, R, const D: usize> {
     /// g (ρ_mean - ρ_k) along the last axis, for solids and gas \[N/m³\].
     pub(super) buoyancy: [R; 2],
     pub(super) dt: R,
-    /// Sub-steps of the gas, 1 to [`MOST_GAS_STEPS`].
+    /// Sub-steps of the gas's momentum transport, up to [`MOST_GAS_STEPS`]; 0 if it carries none.
     pub(super) gas_steps: usize,
+    /// Whether granular temperature is carried by the solids and conducted.
+    pub(super) transports_heat: bool,
+    /// Whether the gas has a viscous stress.
+    pub(super) gas_stress: bool,
     /// dt/h along each axis \[s/m\].
     pub(super) courant: [R; D],
     /// 1/h along each axis \[1/m\].
@@ -133,7 +138,8 @@ pub(super) struct Sweep<R, const D: usize> {
     carried_within: Vec<Ring<R, D>>,
     /// Momentum carried between slabs: of the solids, then of each sub-step of the gas.
     carried_on: Vec<[Ring<R, D>; D]>,
-    /// Velocity of the solids after their momentum was carried, then of the gas after each sub-step.
+    /// Velocity of the solids after their momentum was carried, and of the gas after each sub-step,
+    /// or where its momentum stayed.
     solids: [Ring<R, D>; D],
     gas: Vec<[Ring<R, D>; D]>,
     slip_squared: Ring<R, D>,
@@ -141,6 +147,8 @@ pub(super) struct Sweep<R, const D: usize> {
     radial_distribution: Ring<R, D>,
     viscosity: Ring<R, D>,
     bulk_viscosity: Ring<R, D>,
+    /// I₂ of the solids' rate of strain, where friction asks for it \[1/s²\].
+    strain: Ring<R, D>,
     conductivity: Ring<R, D>,
     /// τ_aa at cell centres, τ_ab on edges, tension positive \[Pa\].
     normal: [Ring<R, D>; D],
@@ -155,37 +163,49 @@ pub(super) struct Sweep<R, const D: usize> {
     limit: Ring<R, D>,
     /// Where rows of other parts go.
     spare: Vec<Vec<R>>,
+    /// τ_aa and τ_ab of the gas, as those of the solids, where its stress is asked for \[Pa\].
+    gas_normal: [Ring<R, D>; D],
+    gas_shear: Vec<Ring<R, D>>,
+    /// Its viscosity and bulk viscosity (none), the same everywhere: a row of each \[Pa·s\].
+    gas_viscosities: [Vec<R>; 2],
+    /// Velocities of a row, pushed by the stress of the gas.
+    stressed: [Vec<R>; 2],
     /// Velocities of a row, with what verification adds.
     pushed: [Vec<R>; 2],
 }
 
 impl<R: Real, const D: usize> Sweep<R, D> {
-    /// For the slabs from `begin` to before `end` of a box.
-    pub(super) fn new(layout: Layout<D>, begin: usize, end: usize) -> Self {
+    /// For the slabs from `begin` to before `end` of a box; terms and viscosity of the gas are those
+    /// of the steps' `setup`.
+    pub(super) fn new(layout: Layout<D>, setup: &Setup, begin: usize, end: usize) -> Self {
+        let terms = setup.terms;
         let ring = |slabs| Ring::new(layout, slabs);
         let rings = |slabs| std::array::from_fn(|_| Ring::new(layout, slabs));
         let several = |n, slabs| (0..n).map(|_| Ring::new(layout, slabs)).collect();
         let pairs = D * (D - 1) / 2;
+        let transports_heat = terms.granular_energy == GranularEnergyChoice::Transport;
+        let most_gas_steps = if terms.gas_inertia { MOST_GAS_STEPS } else { 0 };
         // The lengths follow from how far apart in the sweep a slab is made and last looked at; see
         // `run`.
         Self {
             slabs: [begin, end],
             most: ring(2),
             solids_flux: rings(8),
-            gas_flux: rings(8),
-            heat_flux: rings(2),
+            gas_flux: rings(if terms.gas_inertia { 8 } else { 1 }),
+            heat_flux: rings(if transports_heat { 2 } else { 1 }),
             phi: ring(16),
-            theta: ring(16),
+            theta: ring(if transports_heat { 16 } else { 1 }),
             carried_within: several(D - 1, 1),
-            carried_on: (0..=MOST_GAS_STEPS).map(|_| rings(2)).collect(),
+            carried_on: (0..=most_gas_steps).map(|_| rings(2)).collect(),
             solids: rings(4),
-            gas: (0..MOST_GAS_STEPS).map(|_| rings(4)).collect(),
+            gas: (0..most_gas_steps.max(1)).map(|_| rings(4)).collect(),
             slip_squared: ring(4),
             drag: ring(4),
             radial_distribution: ring(4),
             viscosity: ring(4),
             bulk_viscosity: ring(4),
-            conductivity: ring(4),
+            strain: ring(1),
+            conductivity: ring(if transports_heat { 4 } else { 1 }),
             normal: rings(4),
             shear: several(pairs, 2),
             shear_heating: several(pairs, 2),
@@ -194,6 +214,14 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             total: rings(2),
             limit: ring(1),
             spare: vec![vec![R::ZERO; layout.most_elements()]; 3],
+            gas_normal: rings(if terms.gas_stress { 4 } else { 1 }),
+            gas_shear: several(pairs, if terms.gas_stress { 2 } else { 1 }),
+            gas_viscosities: [setup.gas.viscosity, 0.0].map(|viscosity| {
+                vec![R::of(viscosity); if terms.gas_stress { layout.most_elements() } else { 0 }]
+            }),
+            stressed: std::array::from_fn(|_| {
+                vec![R::ZERO; if terms.gas_stress { layout.most_elements() } else { 0 }]
+            }),
             pushed: std::array::from_fn(|_| vec![R::ZERO; layout.most_elements()]),
         }
     }
@@ -210,24 +238,31 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         after: &mut After<'_, R, D>,
     ) -> Fastest<R> {
         let [begin, end] = self.slabs.map(|slab| slab as isize);
-        let m = before.gas_steps as isize;
+        let m = before.last_gas_step() as isize + 1;
+        // Friction looks at the velocity of the solids a slab further below.
+        let reach = isize::from(before.medium.contact.rubs());
         let mut fastest = Fastest::<R>::NONE;
         // At time `now` each stage makes the slab that lies as far behind as its inputs ask for, if
         // that slab is within what the later stages look at: `below` slabs before the part and
         // `above` after it.
-        for now in begin - 2 * m - 3..end + 2 * m + 3 {
+        for now in begin - 2 * m - 3 - reach..end + 2 * m + 3 {
             let due = |behind: isize, below: isize, above: isize| {
                 let slab = now - behind;
                 (begin - below..end + above).contains(&slab).then_some(slab)
             };
-            if let Some(slab) = due(0, 2 * m + 3, 2 * m + 3) {
+            if let Some(slab) = due(0, 2 * m + 3 + reach, 2 * m + 3) {
                 self.most(before, slab);
             }
-            if let Some(slab) = due(0, 2 * m + 2, 2 * m + 3) {
+            if let Some(slab) = due(0, 2 * m + 2 + reach, 2 * m + 3) {
                 self.fluxes(before, slab);
             }
-            if let Some(slab) = due(1, 2 * m + 2, 2 * m + 2) {
+            if let Some(slab) = due(1, 2 * m + 2 + reach, 2 * m + 2) {
                 self.advect(before, after, slab);
+            }
+            if before.gas_steps == 0
+                && let Some(slab) = due(1, 3, 4)
+            {
+                self.gas_stays(before, slab);
             }
             for n in 0..before.gas_steps {
                 let left = 2 * (m - 1 - n as isize);
@@ -235,8 +270,8 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     self.gas_momentum(before, n, slab, slab == begin - 4 - left);
                 }
             }
-            if let Some(slab) = due(2 * m - 1, 4, 4) {
-                self.solids_momentum(before, slab, slab == begin - 4);
+            if let Some(slab) = due(2 * m - 1, 4 + reach, 4) {
+                self.solids_momentum(before, slab, slab == begin - 4 - reach);
             }
             if let Some(slab) = due(2 * m, 3, 3) {
                 fastest.diffusivity = fastest.diffusivity.max(self.closures(before, after, slab));
@@ -248,6 +283,11 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 if slab >= begin - 1 {
                     self.shear_heating(before, slab);
                 }
+            }
+            if before.gas_stress
+                && let Some(slab) = due(2 * m + 1, 1, 2)
+            {
+                self.gas_stress(before, slab);
             }
             if let Some(slab) = due(2 * m + 2, 1, 1) {
                 fastest.sound_squared =
@@ -282,7 +322,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             for axis in 0..D {
                 let most = [self.most.row(row.near(axis, -1)), self.most.row(row)];
                 let (phi, theta) = (Line::at(*phi, row, axis), Line::at(*theta, row, axis));
-                let (us, ug) = (solids[axis].row(row), gas[axis].row(row));
+                let (us, ug, c) = (solids[axis].row(row), gas[axis].row(row), courant[axis]);
                 fill!(
                     before.layout,
                     [
@@ -290,7 +330,21 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                         fg = self.gas_flux[axis].line(row),
                         ft = self.heat_flux[axis].line(row),
                     ],
-                    transport::flux_row(fs, fg, ft, phi, theta, us, ug, most, courant[axis])
+                    {
+                        // A kernel for each choice of terms.
+                        macro_rules! made {
+                            ($gas:literal, $heat:literal) => {{
+                                let wanted = Wanted::<$gas, $heat>;
+                                transport::flux_row(fs, fg, ft, phi, theta, us, ug, most, c, wanted)
+                            }};
+                        }
+                        match (before.gas_steps > 0, before.transports_heat) {
+                            (true, true) => made!(true, true),
+                            (true, false) => made!(true, false),
+                            (false, true) => made!(false, true),
+                            (false, false) => made!(false, false),
+                        }
+                    }
                 );
             }
         }
@@ -299,14 +353,24 @@ impl<R: Real, const D: usize> Sweep<R, D> {
     /// Solids fraction and temperature by the fluxes.
     fn advect(&mut self, before: &Before<'_, R, D>, after: &mut After<'_, R, D>, slab: isize) {
         for row in before.rows(slab) {
-            let (fs, ft) = (both_faces(&self.solids_flux, row), both_faces(&self.heat_flux, row));
+            let fs = both_faces(&self.solids_flux, row);
             let (phi_old, theta_old) = (before.phi.row(row), before.theta.row(row));
-            fill!(
-                before.layout,
-                [phi = self.phi.line(row), theta = self.theta.line(row)],
-                transport::advect_row(phi, theta, phi_old, theta_old, fs, ft, before.courant)
-            );
-            if let Some(sources) = before.sources {
+            if before.transports_heat {
+                let ft = both_faces(&self.heat_flux, row);
+                fill!(
+                    before.layout,
+                    [phi = self.phi.line(row), theta = self.theta.line(row)],
+                    transport::advect_row(phi, theta, phi_old, theta_old, fs, ft, before.courant)
+                );
+            } else {
+                fill!(
+                    before.layout,
+                    [phi = self.phi.line(row)],
+                    transport::advect_solids_row(phi, phi_old, fs, before.courant)
+                );
+            }
+            // A temperature that is not carried has no rate to which a source could be added.
+            if let (Some(sources), true) = (before.sources, before.transports_heat) {
                 fill!(
                     before.layout,
                     [theta = self.theta.line(row)],
@@ -330,6 +394,23 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             courant: before.courant,
         };
         momentum.carry(before, within, &mut carried_on[0], solids, slab, before_first);
+    }
+
+    /// Momentum of a gas that carries none along.
+    fn gas_stays(&mut self, before: &Before<'_, R, D>, slab: isize) {
+        for row in before.rows(slab) {
+            for axis in 0..D {
+                let below = row.near(axis, -1);
+                let (old, new) = (before.phi, &self.phi);
+                let fractions = [old.row(below), old.row(row), new.row(below), new.row(row)];
+                let u = before.gas[axis].row(row);
+                fill!(
+                    before.layout,
+                    [gas = self.gas[0][axis].line(row)],
+                    transport::stay_row(gas, u, fractions)
+                );
+            }
+        }
     }
 
     /// Momentum of the gas by its fluxes, in sub-step `n`.
@@ -379,7 +460,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         after: &mut After<'_, R, D>,
         slab: isize,
     ) -> R {
-        let gas = &self.gas[before.gas_steps - 1];
+        let gas = &self.gas[before.last_gas_step()];
         let mut fastest = R::ZERO;
         for row in before.rows(slab) {
             let velocities: [[&[R]; 4]; D] = per_axis!(D, |a| {
@@ -387,7 +468,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 let (us, ug) = (&self.solids[a], &gas[a]);
                 [us.row(row), us.row(above), ug.row(row), ug.row(above)]
             });
-            let (phi, theta) = (self.phi.row(row), self.theta.row(row));
+            let (phi, theta) = (self.phi.row(row), before.temperature(&self.theta, row));
             let medium = before.medium;
             let bounds = [before.most_diffusivity, before.nearly_empty];
             let most = fill!(
@@ -405,14 +486,50 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     granular::slip_row(slip, velocities);
                     medium.drag.fill(drag, phi, slip);
                     let outputs = [g0, viscosity, bulk, conductivity, &mut *diffusivity];
-                    medium.contact.kinetic(outputs, medium, phi, theta, drag, bounds);
+                    let conducts = before.transports_heat;
+                    medium.contact.kinetic(outputs, medium, phi, theta, drag, bounds, conducts);
                     largest(before.layout, diffusivity)
                 }
             );
             fastest = fastest.max(most);
             after.drag.line(row, &mut self.spare[0]).copy_from_slice(self.drag.whole(row));
         }
+        if before.medium.contact.rubs() {
+            self.friction(before, slab);
+        }
         fastest
+    }
+
+    /// Frictional viscosity, on top of the kinetic one.
+    fn friction(&mut self, before: &Before<'_, R, D>, slab: isize) {
+        let Before { medium, inverse_spacing: h, most_diffusivity, .. } = *before;
+        for row in before.rows(slab) {
+            let (phi, theta) = (self.phi.row(row), before.temperature(&self.theta, row));
+            let u = &self.solids;
+            fill!(
+                before.layout,
+                [strain = self.strain.line(row), viscosity = self.viscosity.line(row)],
+                {
+                    granular::strain_row(strain, both_faces(u, row), h);
+                    for (_, (a, b)) in pairs::<D>() {
+                        let across = |u: usize, by: usize| {
+                            let (above, below) = (row.near(by, 1), row.near(by, -1));
+                            let q = &self.solids[u];
+                            [
+                                q.row(above),
+                                q.row(above.near(u, 1)),
+                                q.row(below),
+                                q.row(below.near(u, 1)),
+                            ]
+                        };
+                        let u = [across(a, b), across(b, a)];
+                        granular::shear_strain_row(strain, u, [h[a], h[b]]);
+                    }
+                    let (rho, most) = (medium.solids_density, most_diffusivity);
+                    medium.contact.rub(viscosity, rho, phi, theta, strain, most);
+                }
+            );
+        }
     }
 
     /// Viscous stress of the solids.
@@ -483,8 +600,34 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         }
     }
 
+    /// Viscous stress of the gas.
+    fn gas_stress(&mut self, before: &Before<'_, R, D>, slab: isize) {
+        let h = before.inverse_spacing;
+        let gas = &self.gas[before.last_gas_step()];
+        let [mu, bulk] = self.gas_viscosities.each_ref().map(Vec::as_slice);
+        for row in before.rows(slab) {
+            for axis in 0..D {
+                let u = both_faces(gas, row);
+                fill!(
+                    before.layout,
+                    [normal = self.gas_normal[axis].line(row)],
+                    stress::normal_row(normal, axis, u, mu, bulk, h)
+                );
+            }
+            for (at, (a, b)) in pairs::<D>() {
+                let u = shear_lines(gas, (a, b), row);
+                fill!(
+                    before.layout,
+                    [shear = self.gas_shear[at].line(row)],
+                    stress::shear_row(shear, u, [mu; 4], [h[a], h[b]])
+                );
+            }
+        }
+    }
+
     /// Balance of granular energy over the step: conduction and viscous heating explicit,
-    /// dissipation, compression and production by slip implicit in each cell. Leaves the temperature
+    /// dissipation, compression and production by slip implicit in each cell; or the temperature
+    /// at which the sources balance. Leaves the temperature
     /// and the solids pressure; returns the largest squared speed of sound.
     fn granular_energy(
         &mut self,
@@ -497,7 +640,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         for row in before.rows(slab) {
             let (phi, g0) = (self.phi.row(row), self.radial_distribution.row(row));
             let (drag, slip) = (self.drag.row(row), self.slip_squared.row(row));
-            let old = self.theta.row(row);
+            let old = before.temperature(&self.theta, row);
             let u = both_faces(&self.sheared, row);
             let most = fill!(
                 before.layout,
@@ -511,14 +654,18 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     theta.fill(R::ZERO);
                     for a in 0..D {
                         let (below, above) = (row.near(a, -1), row.near(a, 1));
-                        let q = &self.theta;
-                        let old = [q.row(below), q.row(row), q.row(above)];
-                        let q = &self.conductivity;
-                        let conductivity = [q.row(below), q.row(row), q.row(above)];
                         let (u, v) = (&self.solids[a], &self.sheared[a]);
                         let u = [[u.row(row), u.row(above)], [v.row(row), v.row(above)]];
                         let normal = self.normal[a].row(row);
-                        granular::heating_row(theta, old, conductivity, normal, u, h[a]);
+                        if before.transports_heat {
+                            let q = &self.theta;
+                            let old = [q.row(below), q.row(row), q.row(above)];
+                            let q = &self.conductivity;
+                            let conductivity = [q.row(below), q.row(row), q.row(above)];
+                            granular::heating_row(theta, old, conductivity, normal, u, h[a]);
+                        } else {
+                            granular::normal_heating_row(theta, normal, u, h[a]);
+                        }
                     }
                     granular::per_mass_row(theta, phi, medium.solids_density);
                     for (at, (a, b)) in pairs::<D>() {
@@ -527,7 +674,15 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                         let edges = [q.row(row), q.row(right), q.row(up), q.row(right.near(b, 1))];
                         granular::edge_heating_row(theta, edges, R::ONE / medium.solids_density);
                     }
-                    granular::balance_row(theta, medium, phi, old, g0, drag, slip, u, h, dt);
+                    if before.transports_heat {
+                        granular::balance_row(theta, medium, phi, old, g0, drag, slip, u, h, dt);
+                    } else {
+                        let mu = self.viscosity.row(row);
+                        let cell = R::ONE / h.iter().fold(R::ZERO, |sum, h| sum + *h * *h);
+                        granular::algebraic_row(
+                            theta, medium, phi, old, g0, drag, slip, u, h, mu, cell,
+                        );
+                    }
                     let outputs = [pressure, &mut *sound];
                     medium.contact.pressure(outputs, medium.theory, phi, g0, theta, drag, dt);
                     largest(before.layout, sound)
@@ -541,13 +696,32 @@ impl<R: Real, const D: usize> Sweep<R, D> {
     /// All forces but the pressure increment, and the exchange of momentum by drag.
     fn forces(&mut self, before: &Before<'_, R, D>, after: &mut After<'_, R, D>, slab: isize) {
         let inertia = Inertia::new(before.medium, before.dt);
-        let gas = &self.gas[before.gas_steps - 1];
+        let gas = &self.gas[before.last_gas_step()];
         for row in before.rows(slab) {
             for axis in 0..D {
                 let below = row.near(axis, -1);
                 let spacing = before.inverse_spacing[axis];
                 let buoyancy = if axis + 1 == D { before.buoyancy } else { [R::ZERO; 2] };
                 let mut velocities = [self.sheared[axis].row(row), gas[axis].row(row)];
+                if before.gas_stress {
+                    let stress: [[&[R]; 2]; D] = per_axis!(D, |b| {
+                        if b == axis {
+                            [self.gas_normal[axis].row(below), self.gas_normal[axis].row(row)]
+                        } else {
+                            let shear = &self.gas_shear[pair(axis, b)];
+                            [shear.row(row), shear.row(row.near(b, 1))]
+                        }
+                    });
+                    let [us, ug] = &mut self.stressed;
+                    let n = velocities[0].len();
+                    let (us, ug) = (&mut us[..n], &mut ug[..n]);
+                    let phi = [self.phi.row(below), self.phi.row(row)];
+                    let Medium { solids_density, gas_density, .. } = *before.medium;
+                    let impulses = [before.dt / solids_density, before.dt / gas_density];
+                    let h = before.inverse_spacing;
+                    stress::push_row(us, ug, velocities, stress, phi, impulses, h);
+                    velocities = [us, ug];
+                }
                 if let Some(sources) = before.sources {
                     sources.push(&mut self.pushed, velocities, axis, row, before.dt);
                     velocities = self.pushed.each_ref().map(Vec::as_slice);
@@ -595,6 +769,18 @@ impl<R: Real, const D: usize> Sweep<R, D> {
 }
 
 impl<R: Real, const D: usize> Before<'_, R, D> {
+    /// Granular temperature that the closures are of: as the solids `carried` it, or of the step
+    /// before.
+    #[inline(always)]
+    fn temperature<'b>(&'b self, carried: &'b Ring<R, D>, row: Row<D>) -> &'b [R] {
+        if self.transports_heat { carried.row(row) } else { self.theta.row(row) }
+    }
+
+    /// The last sub-step of the gas, or 0 for where its momentum stays.
+    fn last_gas_step(&self) -> usize {
+        self.gas_steps.saturating_sub(1)
+    }
+
     /// The rows of a slab.
     fn rows(&self, slab: isize) -> impl Iterator<Item = Row<D>> + use<R, D> {
         self.layout.pieces(slab)

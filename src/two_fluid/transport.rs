@@ -53,11 +53,16 @@ simd! {
     }
 }
 
+/// Whether the fluxes of the gas and those of temperature are wanted: a kernel for each answer.
+#[derive(Clone, Copy)]
+pub(super) struct Wanted<const GAS: bool, const HEAT: bool>;
+
 simd! {
     /// Volume fluxes through the lower faces of a row along one axis \[m/s\]: of solids, of gas, and of
     /// solids times temperature. The gas takes what the solids leave of the total, which the
-    /// pressure has made free of divergence. `most` is that of [`most_row`] on either side.
-    pub(super) fn flux_row[R: Real](
+    /// pressure has made free of divergence. `most` is that of [`most_row`] on either side. `fg`
+    /// and `ft` are made only if wanted.
+    pub(super) fn flux_row[R: Real, const GAS: bool, const HEAT: bool](
         fs: &mut [R],
         fg: &mut [R],
         ft: &mut [R],
@@ -67,6 +72,7 @@ simd! {
         ug: &[R],
         most: [&[R]; 2],
         courant: R,
+        _wanted: Wanted<GAS, HEAT>,
     ) {
         let n = fs.len();
         let (phi, theta, most) = (phi.cut(n), theta.cut(n), cut(most, n));
@@ -81,11 +87,15 @@ simd! {
             let most = R::select(forward, most[0][i], most[1][i]);
             let bound = most * R::select(forward, phi.0[1][i], phi.0[2][i]);
             let solids = phi.upwind(us[i], crossing, i).min(bound);
-            let warmest = bound * R::select(forward, theta.0[1][i], theta.0[2][i]);
-            let heat = (solids * theta.upwind(us[i], crossing, i)).min(warmest);
             fs[i] = us[i] * solids;
-            fg[i] = total - us[i] * solids;
-            ft[i] = us[i] * heat;
+            if GAS {
+                fg[i] = total - us[i] * solids;
+            }
+            if HEAT {
+                let warmest = bound * R::select(forward, theta.0[1][i], theta.0[2][i]);
+                let heat = (solids * theta.upwind(us[i], crossing, i)).min(warmest);
+                ft[i] = us[i] * heat;
+            }
         }
     }
 }
@@ -115,6 +125,23 @@ simd! {
     }
 }
 
+simd! {
+    /// φ after `dt` from its fluxes: φ' = φ - dt ∇·F.
+    pub(super) fn advect_solids_row[R: Real, const D: usize](
+        phi_new: &mut [R],
+        phi: &[R],
+        fs: [[&[R]; 2]; D],
+        courant: [R; D],
+    ) {
+        let n = phi_new.len();
+        let (phi, fs) = (&phi[..n], by_axis(fs, n));
+        for i in 0..n {
+            let solids = sum_axes!(D, fs, |[lower, upper], a| courant[a] * (upper[i] - lower[i]));
+            phi_new[i] = phi[i] - solids;
+        }
+    }
+}
+
 /// A phase's share of a face as a linear function of the solids fraction there before and after
 /// the step: `constant + before φ + after φ'`.
 #[derive(Clone, Copy)]
@@ -137,6 +164,20 @@ impl<R: Real> Share<R> {
     /// The gas's share a part `t` through the step.
     pub(super) fn gas(t: f64) -> Self {
         Self { constant: R::ONE, before: R::of(t - 1.0), after: R::of(-t) }
+    }
+}
+
+simd! {
+    /// One velocity component of a gas that carries no momentum along: what momentum there is at a
+    /// face stays there, (1-φ') u' = (1-φ) u. `fractions` are those of [`momentum_row`].
+    pub(super) fn stay_row[R: Real](new: &mut [R], u: &[R], fractions: [&[R]; 4]) {
+        let n = new.len();
+        let u = &u[..n];
+        let [below, here, below_new, here_new] = cut(fractions, n);
+        let two = R::of(2.0);
+        for i in 0..n {
+            new[i] = u[i] * (two - (below[i] + here[i])) / (two - (below_new[i] + here_new[i]));
+        }
     }
 }
 

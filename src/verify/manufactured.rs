@@ -10,7 +10,7 @@
 
 use super::dual::{Dual, Smooth};
 use super::{Checked, Effort, Expected, Row};
-use crate::case::{DragChoice, FrictionChoice, RadialDistributionChoice};
+use crate::case::{DragChoice, FrictionChoice, RadialDistributionChoice, Terms};
 use crate::case::{with_drag, with_radial_distribution};
 use crate::grid::Grid;
 use crate::laws::drag::DragLaw;
@@ -31,6 +31,7 @@ fn setup() -> Setup {
         drag: DragChoice::WenYu,
         radial_distribution: RadialDistributionChoice::Princeton,
         friction: FrictionChoice::Barrier,
+        terms: Terms::default(),
         solids_fraction: 0.25,
         perturbation: 0.0,
         seed: 0,

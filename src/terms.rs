@@ -1,0 +1,143 @@
+//! [`terms`]: which terms of the equations a case models, and why.
+
+use crate::case::{Case, FrictionChoice, GranularEnergyChoice, with_friction};
+use crate::laws::friction::Friction;
+use serde::Serialize;
+use std::fmt;
+
+/// A term of the equations.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Term {
+    /// Its name.
+    pub name: &'static str,
+    /// Whether it is modelled; what is not costs nothing.
+    pub on: bool,
+    /// What speaks for it or against it, with the number that it hangs on.
+    pub why: String,
+}
+
+impl fmt::Display for Term {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} {}: {}", self.name, if self.on { "on" } else { "off" }, self.why)
+    }
+}
+
+/// The terms that are a matter of choice, in the order of the case file's keys.
+pub fn terms(case: &Case) -> Vec<Term> {
+    let Case { powder, gas, physics, domain, .. } = case;
+    let scales = case.scales();
+    let chosen = physics.terms;
+    let fractions = &domain.solids_fractions;
+    let least = fractions.iter().copied().fold(1.0, f64::min);
+    let most = fractions.iter().copied().fold(0.0, f64::max);
+
+    let onset = friction_onset(case);
+    let reached = match onset {
+        None => "no fraction is too dense for it".to_owned(),
+        Some(onset) if most < onset => {
+            format!("acts above φ = {onset:.3}, which clusters of ⟨φ⟩ = {most} may reach")
+        }
+        Some(onset) => format!("acts above φ = {onset:.3}, and ⟨φ⟩ = {most} does"),
+    };
+    let viscous = with_friction!(physics.friction, f64, powder, |friction| is_viscous(&friction));
+    // Stokes's drag on a sphere: its fluctuations lose their energy at 3 K/ρ_s, K = 18 μ_g/d².
+    let memory = powder.density * powder.diameter.powi(2) / (54.0 * gas.viscosity);
+    let transported = chosen.granular_energy == GranularEnergyChoice::Transport;
+    let inertia = gas.density * (1.0 - least) / (powder.density * least);
+    let diffusion = gas.viscosity / (gas.density * scales.terminal_velocity * scales.length_i());
+    vec![
+        Term {
+            name: "frictional pressure",
+            on: physics.friction != FrictionChoice::None,
+            why: reached.clone(),
+        },
+        Term {
+            name: "frictional viscosity",
+            on: viscous,
+            why: if viscous { reached } else { "the friction chosen has none".to_owned() },
+        },
+        Term {
+            name: "transport of granular energy",
+            on: transported,
+            why: format!("drag takes {:.2} u_t/g to damp fluctuations", memory / scales.time()),
+        },
+        Term {
+            name: "gas inertia",
+            on: chosen.gas_inertia,
+            why: format!("ρ_g (1-φ)/(ρ_s φ) = {inertia:.1e} at ⟨φ⟩ = {least}"),
+        },
+        Term {
+            name: "gas stress",
+            on: chosen.gas_stress,
+            why: format!("μ_g/(ρ_g u_t L_I) = {diffusion:.1e}"),
+        },
+    ]
+}
+
+fn is_viscous<F: Friction<f64>>(_: &F) -> bool {
+    F::VISCOUS
+}
+
+/// The solids fraction above which the frictional pressure of `case` acts; none if nowhere.
+fn friction_onset(case: &Case) -> Option<f64> {
+    let powder = &case.powder;
+    let acts = |phi: f64| {
+        with_friction!(case.physics.friction, f64, powder, |friction| {
+            friction.pressure(phi).0 > 0.0
+        })
+    };
+    let (mut low, mut high) = (0.0, 1.0);
+    if !acts(high) {
+        return None;
+    }
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if acts(middle) { high = middle } else { low = middle }
+    }
+    Some(high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::case::DEFAULT;
+
+    fn of(changes: &[(&str, &str)]) -> Vec<Term> {
+        let text = changes.iter().fold(DEFAULT.to_owned(), |text, (from, to)| {
+            assert!(text.contains(from), "{from}");
+            text.replacen(from, to, 1)
+        });
+        terms(&Case::parse(&text, "test").unwrap())
+    }
+
+    fn line(terms: &[Term], name: &str) -> String {
+        terms.iter().find(|term| term.name == name).unwrap().to_string()
+    }
+
+    #[test]
+    fn each_term_is_on_or_off_with_its_number() {
+        let default = of(&[]);
+        assert_eq!(
+            line(&default, "frictional pressure"),
+            "frictional pressure on: acts above φ = 0.630, which clusters of ⟨φ⟩ = 0.25 may reach"
+        );
+        assert!(line(&default, "frictional viscosity").starts_with("frictional viscosity off"));
+        // 1.3 · 0.98 / (1500 · 0.02), 1.8e-5 / (1.3 · 0.2185 · 4.865e-3), 8.68 ms / 22.27 ms.
+        assert!(line(&default, "gas inertia").contains("on: ρ_g (1-φ)/(ρ_s φ) = 4.2e-2 at"));
+        assert!(line(&default, "gas stress").contains("off: μ_g/(ρ_g u_t L_I) = 1.3e-2"));
+        assert!(line(&default, "transport of granular energy").contains("on: drag takes 0.39 "));
+
+        let other = of(&[
+            ("friction = \"barrier\"", "friction = \"johnson-jackson\""),
+            ("granular_energy = \"transport\"", "granular_energy = \"algebraic\""),
+            ("gas_inertia = true", "gas_inertia = false"),
+            ("gas_stress = false", "gas_stress = true"),
+            ("[0.02, 0.05, 0.15, 0.25]", "[0.02, 0.55]"),
+        ]);
+        let on: Vec<bool> = other.iter().map(|term| term.on).collect();
+        assert_eq!(on, [true, true, false, false, true]);
+        assert!(line(&other, "frictional viscosity").ends_with("φ = 0.500, and ⟨φ⟩ = 0.55 does"));
+        let none = of(&[("friction = \"barrier\"", "friction = \"none\"")]);
+        assert!(line(&none, "frictional pressure").starts_with("frictional pressure off: no "));
+    }
+}
