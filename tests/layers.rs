@@ -25,10 +25,11 @@ const ALLOWED: &[(&str, &str)] = &[
     ("series", "blocking"),
     ("statistics", "blocking filter filtered fine grid lanes laws moments rows spectral table"),
     ("stored", "filter fine grid laws spectral statistics"),
+    ("resolved", "case fine stored"),
     ("binary", ""),
     ("sums", "binary filtered laws spectral statistics"),
     ("pool", "laws statistics sums table"),
-    ("simulate", "case filter fine grid laws real series spectral statistics two_fluid"),
+    ("simulate", "case filter fine grid laws real series spectral statistics stored two_fluid"),
     ("stability", "case laws"),
     ("table", ""),
     ("forms", ""),
@@ -42,7 +43,7 @@ const ALLOWED: &[(&str, &str)] = &[
     ("terms", "case laws"),
     (
         "pipeline",
-        "bench case checkpoint figure fit forms laws model output pool progress series simulate stability statistics summary sums table",
+        "bench case checkpoint figure fine fit forms laws model output pool progress resolved series simulate stability statistics stored summary sums table",
     ),
     (
         "bench",
@@ -61,6 +62,9 @@ const RESERVED: &[(&str, &str)] = &[
     ("realfft", "spectral"),
     ("rustfft", "spectral"),
     ("cpu_time", "bench"),
+    ("roxmltree", "resolved"),
+    ("base64", "resolved"),
+    ("flate2", "resolved"),
 ];
 
 fn source() -> PathBuf {

@@ -1,8 +1,8 @@
 //! Snapshots: what the filter is given in flight, to .vti or .npz in double precision.
 //!
 //! Everything of [`FineFields`] is written, at cell centres, to the last bit; with it the grid, the
-//! time, the case as text, and the means of the box that say when it became steady. A file appears by
-//! a rename, complete and on disk, or not at all.
+//! time, the case as text (all of it but its duration), and the means of the box that say when it became
+//! steady. A file appears by a rename, complete and on disk, or not at all.
 
 use super::map::vtk_index;
 use super::numpy::NpzWriter;
@@ -12,6 +12,9 @@ use std::borrow::Cow;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
+
+/// Duration that the case in a snapshot gives, in sample intervals: the shortest that is accepted.
+const SHORTEST: f64 = 20.0;
 
 /// The formats of snapshots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -246,6 +249,9 @@ impl Recorder {
         };
         let every =
             (case.output.fields_interval / case.run.sample_interval).round().max(1.0) as u64;
+        // A run may be prolonged, and its snapshots are the same then.
+        let mut case = case.clone();
+        case.run.duration = SHORTEST * case.run.sample_interval;
         Some(Self { folder, format, every, case: case.to_toml() })
     }
 
