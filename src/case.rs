@@ -25,9 +25,11 @@
 //! | | `gas_stress` | whether the gas's viscosity acts between cells, as in [`Terms`] | `true`, `false` | `false` |
 //! | | `gravity` | g [m/s²] | 1e-3 to 1e4 | 9.81 |
 //! | `[filter]` | `widths` | edges of the box filters | whole cells along every axis, from 2 cells to half the box | 4, 8, 16 and 32 cells as far as they fit |
-//! | | `markers` | what results are binned by | `"solids_fraction"`, and `"slip"` | `["solids_fraction"]` |
+//! | | `kernel` | the filter's kernel | `"box"`, `"gaussian"`, `"diffusion"`, `"sharp"` | `"box"` |
+//! | | `markers` | what results are binned by | `"solids_fraction"`, and up to two of `"slip"`, `"slip_speed"`, `"pressure_gradient"`, `"shear_rate"`, `"solids_fraction_gradient"`, `"solids_fraction_variance"` | `["solids_fraction"]` |
 //! | | `solids_fraction_bin` | width of a bin | 1e-4 to φ_max | 0.02 |
 //! | | `slip_bin` | width of a bin | 0.001 u_t to 10 u_t | `"0.25 u_t"` |
+//! | | `<marker>_edges` | edges of the bins of that marker, instead | ascending numbers, scaled by u_t, ρ_s g, g/u_t or 1/L_I; or `"5 quantiles"` | `"5 quantiles"` of markers without a width |
 //! | `[run]` | `duration` | simulated time of each box | a time above 0 | `"200 u_t/g"` |
 //! | | `sample_interval` | time between samples | above 0, to a twentieth of the duration | `"0.5 u_t/g"`, or less if the duration asks for it |
 //! | | `seed` | of the initial perturbation | a whole number | 1 |
@@ -281,6 +283,34 @@ pub struct FilterCase {
     pub solids_fraction_bin: f64,
     /// Width of a bin of vertical filtered slip, in u_t (used with the marker `slip`).
     pub slip_bin: f64,
+    /// The filters' kernel.
+    pub kernel: KernelChoice,
+    /// Bins of markers that are not of equal width.
+    pub edges: Vec<(MarkerChoice, EdgesChoice)>,
+}
+
+/// Kernels of filters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum KernelChoice {
+    /// The mean over a box.
+    #[default]
+    Box,
+    /// A Gaussian.
+    Gaussian,
+    /// An implicit step of diffusion.
+    Diffusion,
+    /// A spectrally sharp cut-off.
+    Sharp,
+}
+
+/// Bins of a marker.
+#[derive(Clone, Debug, PartialEq)]
+pub enum EdgesChoice {
+    /// Between these edges, scaled as the marker is; what lies beyond belongs to the outermost bins.
+    Given(Vec<f64>),
+    /// As many bins, of about equally many filter positions each.
+    Quantiles(usize),
 }
 
 /// What filtered results are binned by.
@@ -291,6 +321,40 @@ pub enum MarkerChoice {
     SolidsFraction,
     /// The vertical filtered slip over u_t.
     Slip,
+    /// The filtered slip speed over u_t.
+    SlipSpeed,
+    /// The vertical filtered pressure gradient over ρ_s g.
+    PressureGradient,
+    /// The shear rate of the filtered solids velocity times u_t/g.
+    ShearRate,
+    /// The gradient of the filtered solids fraction times L_I.
+    SolidsFractionGradient,
+    /// The sub-filter variance of the solids fraction.
+    SolidsFractionVariance,
+}
+
+/// The keys that give the bins of a marker.
+const EDGE_KEYS: [(&str, MarkerChoice); 7] = [
+    ("solids_fraction_edges", MarkerChoice::SolidsFraction),
+    ("slip_edges", MarkerChoice::Slip),
+    ("slip_speed_edges", MarkerChoice::SlipSpeed),
+    ("pressure_gradient_edges", MarkerChoice::PressureGradient),
+    ("shear_rate_edges", MarkerChoice::ShearRate),
+    ("solids_fraction_gradient_edges", MarkerChoice::SolidsFractionGradient),
+    ("solids_fraction_variance_edges", MarkerChoice::SolidsFractionVariance),
+];
+
+/// The lines of a case file that give the bins of markers.
+fn edge_lines(edges: &[(MarkerChoice, EdgesChoice)]) -> String {
+    let mut lines = String::new();
+    for (marker, edges) in edges {
+        let key = EDGE_KEYS.iter().find(|(_, other)| other == marker).map_or("", |(key, _)| key);
+        let _ = match edges {
+            EdgesChoice::Given(edges) => writeln!(lines, "{key} = {edges:?}"),
+            EdgesChoice::Quantiles(count) => writeln!(lines, "{key} = \"{count} quantiles\""),
+        };
+    }
+    lines
 }
 
 /// `[run]`: how long, how precisely, from which seed.
@@ -587,9 +651,11 @@ impl Case {
              gravity = {:?}\n\
              \n[filter]\n\
              widths = {:?}\n\
+             kernel = {}\n\
              markers = {}\n\
              solids_fraction_bin = {:?}\n\
              slip_bin = \"{:?} u_t\"\n\
+             {}\
              \n[run]\n\
              duration = {:?}\n\
              sample_interval = {:?}\n\
@@ -616,9 +682,11 @@ impl Case {
             physics.terms.gas_stress,
             physics.gravity,
             filter.widths,
+            quoted(&filter.kernel),
             quoted(&filter.markers),
             filter.solids_fraction_bin,
             filter.slip_bin,
+            edge_lines(&filter.edges),
             run.duration,
             run.sample_interval,
             run.seed,
@@ -938,5 +1006,39 @@ precision = "f64"
         let case = text_with("[\"solids_fraction\"]", "[\"slip\", \"solids_fraction\"]").unwrap();
         assert_eq!(case.filter.markers, [SolidsFraction, Slip]);
         assert!(problem("[\"solids_fraction\"]", "[\"slip\"]").why.contains("always a marker"));
+    }
+
+    #[test]
+    fn markers_have_edges_or_quantiles() {
+        let markers = "markers = [\"solids_fraction\"]";
+        let three =
+            "markers = [\"solids_fraction\", \"slip\", \"shear_rate\"]\nkernel = \"gaussian\"";
+        let text =
+            format!("{three}\nslip_edges = [0, 0.5, 2]\nsolids_fraction_edges = \"7 quantiles\"");
+        let case = text_with(markers, &text).unwrap();
+        assert_eq!(case.filter.kernel, KernelChoice::Gaussian);
+        assert_eq!(
+            case.filter.edges,
+            [
+                (MarkerChoice::SolidsFraction, EdgesChoice::Quantiles(7)),
+                (MarkerChoice::Slip, EdgesChoice::Given(vec![0.0, 0.5, 2.0])),
+            ]
+        );
+        assert_eq!(Case::parse(&case.to_toml(), "test").unwrap(), case);
+        let refused = |edges: &str| problem(markers, &format!("{three}\nslip_edges = {edges}")).why;
+        for (edges, says) in [
+            ("[1]", "two edges or more"),
+            ("[1, 1]", "ascending"),
+            ("[0, \"a\"]", "ascending"),
+            ("\"1 quantiles\"", "from 2 to 20 quantiles"),
+            ("\"some quantiles\"", "from 2 to 20 quantiles"),
+            ("3", "a list of ascending numbers"),
+        ] {
+            assert!(refused(edges).contains(says), "{edges}: {}", refused(edges));
+        }
+        let stray = problem(markers, &format!("{markers}\nslip_edges = [0, 1]"));
+        assert!(stray.why.contains("\"slip\" is no marker"), "{}", stray.why);
+        let four = "[\"solids_fraction\", \"slip\", \"shear_rate\", \"slip_speed\"]";
+        assert!(problem("[\"solids_fraction\"]", four).why.contains("at most three"));
     }
 }

@@ -1,6 +1,6 @@
 //! [`simulate`]: one box from its start to its end, sampled in flight.
 
-use crate::case::{Case, MarkerChoice};
+use crate::case::{Case, EdgesChoice, FilterCase, KernelChoice, MarkerChoice};
 use crate::filter::FilterError;
 use crate::fine::FineFields;
 use crate::grid::Grid;
@@ -8,7 +8,7 @@ use crate::laws::scales::Scales;
 use crate::real::Real;
 use crate::series::{Onset, steady_start};
 use crate::spectral::Kernel;
-use crate::statistics::{Bins, MergeError, Sampler, Sampling, Sums};
+use crate::statistics::{Axis, Bins, Marker, MergeError, Sampler, Sampling, Sums};
 use crate::stored::StoredSampling;
 use crate::two_fluid::{Limit, Means, Setup, StateError, StepError, TwoFluid};
 use std::io::{self, Read, Write};
@@ -213,15 +213,50 @@ pub fn setup(case: &Case, solids_fraction: f64, parallel: bool) -> Setup {
     }
 }
 
+/// Quantiles of a marker for which a case gives no bins.
+const QUANTILES: usize = 5;
+
+/// The bins that a case asks for.
+fn bins(filter: &FilterCase, max_packing: f64) -> Bins {
+    let axis = |choice: &MarkerChoice| {
+        let marker = match choice {
+            MarkerChoice::SolidsFraction => Marker::SolidsFraction,
+            MarkerChoice::Slip => Marker::Slip,
+            MarkerChoice::SlipSpeed => Marker::SlipSpeed,
+            MarkerChoice::PressureGradient => Marker::PressureGradient,
+            MarkerChoice::ShearRate => Marker::ShearRate,
+            MarkerChoice::SolidsFractionGradient => Marker::FractionGradient,
+            MarkerChoice::SolidsFractionVariance => Marker::Variance,
+        };
+        let given = filter.edges.iter().find(|(other, _)| other == choice);
+        match (given, choice) {
+            (Some((_, EdgesChoice::Given(edges))), _) => Axis::new(marker, edges.clone()),
+            (Some((_, EdgesChoice::Quantiles(count))), _) => {
+                Axis::in_quantiles(marker, *count, max_packing)
+            }
+            (None, MarkerChoice::SolidsFraction) => {
+                Axis::of_fractions(filter.solids_fraction_bin, max_packing)
+            }
+            (None, MarkerChoice::Slip) => Axis::of_slips(filter.slip_bin),
+            (None, _) => Axis::in_quantiles(marker, QUANTILES, max_packing),
+        }
+    };
+    Bins { axes: filter.markers.iter().map(axis).collect() }
+}
+
 /// How `case` asks for its fields to be sampled, in flight.
 pub fn sampling<const D: usize>(case: &Case, parallel: bool) -> Sampling<D> {
     let Case { powder, gas, filter, run, .. } = case;
-    let slip_bin = filter.markers.contains(&MarkerChoice::Slip).then_some(filter.slip_bin);
     Sampling {
         scales: case.scales(),
         gas_density: gas.density,
-        bins: Bins::new(filter.solids_fraction_bin, powder.max_packing, slip_bin),
-        kernel: Kernel::Box,
+        bins: bins(filter, powder.max_packing),
+        kernel: match filter.kernel {
+            KernelChoice::Box => Kernel::Box,
+            KernelChoice::Gaussian => Kernel::Gaussian,
+            KernelChoice::Diffusion => Kernel::Diffusion,
+            KernelChoice::Sharp => Kernel::Sharp,
+        },
         widths: filter.widths.clone(),
         block_duration: SAMPLES_PER_BLOCK * run.sample_interval,
         space: [1; D],

@@ -21,6 +21,8 @@ use crate::moments::{MomentColumns, MomentFilter};
 use crate::rows::{each_chunk, simd};
 use crate::spectral::Kernel;
 use crate::table::BinRow;
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
 /// What filter positions may be binned by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -100,9 +102,66 @@ pub struct Axis {
     /// Edges of the bins, ascending, scaled as the marker says. The first and the last bin also take
     /// what lies beyond; outermost edges that are infinite say so in the tables.
     pub edges: Vec<f64>,
+    /// Into how many bins of about equally many filter positions the bins are put together in a
+    /// table, for each filter width; none if they stay as they are.
+    pub quantiles: Option<usize>,
 }
 
+/// Slip bins of width w cover this range of slip / u_t; the first and the last are open.
+const SLIP_RANGE: [f64; 2] = [-2.0, 6.0];
+
+/// Bins from which quantiles are made.
+const FINE_BINS: usize = 48;
+
 impl Axis {
+    /// Bins between `edges`.
+    pub fn new(marker: Marker, edges: Vec<f64>) -> Self {
+        Self { marker, edges, quantiles: None }
+    }
+
+    /// Bins of solids fraction of this `width`, from 0 to at least `max_packing`.
+    ///
+    /// # Panics
+    /// If the width is not a positive number.
+    pub fn of_fractions(width: f64, max_packing: f64) -> Self {
+        assert!(width > 0.0, "bins of {width}");
+        let edges = (0..=bins_of(max_packing, width)).map(|edge| edge as f64 * width);
+        Self::new(Marker::SolidsFraction, edges.collect())
+    }
+
+    /// Bins of vertical slip / u_t of this `width`, from -2 to 6, open at both ends.
+    ///
+    /// # Panics
+    /// If the width is not a positive number.
+    pub fn of_slips(width: f64) -> Self {
+        assert!(width > 0.0, "bins of {width}");
+        let [low, high] = SLIP_RANGE;
+        let inner = (0..=bins_of(high - low, width)).map(|edge| low + edge as f64 * width);
+        Self::new(Marker::Slip, open(inner.collect()))
+    }
+
+    /// `quantiles` bins of about equally many filter positions. Positions are counted in finer bins,
+    /// which sums of different runs have in common; tables put these together.
+    pub fn in_quantiles(marker: Marker, quantiles: usize, max_packing: f64) -> Self {
+        let linear = |[low, high]: [f64; 2]| -> Vec<f64> {
+            let step = (high - low) / FINE_BINS as f64;
+            (0..=FINE_BINS).map(|edge| low + step * edge as f64).collect()
+        };
+        let logarithmic = |range: [f64; 2]| -> Vec<f64> {
+            linear(range.map(f64::log10)).into_iter().map(|edge| 10f64.powf(edge)).collect()
+        };
+        let edges = match marker {
+            Marker::SolidsFraction => linear([0.0, max_packing]),
+            Marker::Slip => open(linear(SLIP_RANGE)),
+            Marker::SlipSpeed => open(linear([0.0, SLIP_RANGE[1]])),
+            Marker::PressureGradient => open(linear([-1.0, 1.0])),
+            Marker::ShearRate => open(logarithmic([0.02, 20.0])),
+            Marker::FractionGradient => open(logarithmic([0.005, 5.0])),
+            Marker::Variance => open(logarithmic([1e-6, 0.1])),
+        };
+        Self { marker, edges, quantiles: Some(quantiles) }
+    }
+
     /// Number of bins.
     fn len(&self) -> usize {
         self.edges.len() - 1
@@ -114,10 +173,46 @@ impl Axis {
         let inner = &self.edges[1..self.edges.len() - 1];
         inner.partition_point(|edge| *edge <= value)
     }
+
+    /// For each bin the first and the last of those that it is put together with, given how many
+    /// positions are in each.
+    fn groups(&self, positions: &[f64]) -> Vec<[usize; 2]> {
+        let Some(quantiles) = self.quantiles else {
+            return (0..self.len()).map(|bin| [bin; 2]).collect();
+        };
+        let total: f64 = positions.iter().sum();
+        let mut groups: Vec<[usize; 2]> = Vec::with_capacity(self.len());
+        let (mut first, mut before, mut group) = (0, 0.0, 0);
+        for (bin, positions) in positions.iter().enumerate() {
+            // A bin belongs to the quantile in which its middle position lies.
+            let middle = (before + 0.5 * positions) / total * quantiles as f64;
+            let here = (middle as usize).min(quantiles - 1);
+            if here > group {
+                (first, group) = (bin, here);
+            }
+            before += positions;
+            groups.push([first, bin]);
+        }
+        // All bins of a group know its last.
+        for bin in (0..self.len().saturating_sub(1)).rev() {
+            if groups[bin][0] == groups[bin + 1][0] {
+                groups[bin][1] = groups[bin + 1][1];
+            }
+        }
+        groups
+    }
 }
 
-/// Slip bins of width w cover this range of slip / u_t; the first and the last are open.
-const SLIP_RANGE: [f64; 2] = [-2.0, 6.0];
+/// Bins of `width` that cover `range`.
+fn bins_of(range: f64, width: f64) -> usize {
+    // Round-off in the quotient must not add an empty bin.
+    ((range / width - 1e-9).ceil() as usize).max(1)
+}
+
+/// The edges, and bins beyond.
+fn open(edges: Vec<f64>) -> Vec<f64> {
+    std::iter::once(f64::NEG_INFINITY).chain(edges).chain([f64::INFINITY]).collect()
+}
 
 /// Bins of filtered solids fraction and of up to two more markers.
 #[derive(Clone, Debug, PartialEq)]
@@ -133,19 +228,8 @@ impl Bins {
     /// # Panics
     /// If a width is not a positive number.
     pub fn new(fraction_width: f64, max_packing: f64, slip_width: Option<f64>) -> Self {
-        assert!(fraction_width > 0.0 && slip_width.is_none_or(|width| width > 0.0));
-        // Round-off in the quotient must not add an empty bin.
-        let count = |range: f64, width: f64| ((range / width - 1e-9).ceil() as usize).max(1);
-        let fractions = count(max_packing, fraction_width);
-        let edges = (0..=fractions).map(|edge| edge as f64 * fraction_width).collect();
-        let mut axes = vec![Axis { marker: Marker::SolidsFraction, edges }];
-        if let Some(width) = slip_width {
-            let [low, high] = SLIP_RANGE;
-            let inner = (0..=count(high - low, width)).map(|edge| low + edge as f64 * width);
-            let edges = std::iter::once(f64::NEG_INFINITY).chain(inner).chain([f64::INFINITY]);
-            axes.push(Axis { marker: Marker::Slip, edges: edges.collect() });
-        }
-        Self { axes }
+        let fractions = Axis::of_fractions(fraction_width, max_packing);
+        Self { axes: std::iter::once(fractions).chain(slip_width.map(Axis::of_slips)).collect() }
     }
 
     /// Number of bins.
@@ -168,14 +252,20 @@ impl Bins {
         })
     }
 
-    /// Lower and upper edge of `bin` along each axis.
-    pub fn edges(&self, mut bin: usize) -> Vec<[f64; 2]> {
-        let edges = |axis: &Axis| {
+    /// Place of `bin` along each axis.
+    fn places(&self, mut bin: usize) -> Vec<usize> {
+        let along = |axis: &Axis| {
             let place = bin % axis.len();
             bin /= axis.len();
-            [axis.edges[place], axis.edges[place + 1]]
+            place
         };
-        self.axes.iter().map(edges).collect()
+        self.axes.iter().map(along).collect()
+    }
+
+    /// Lower and upper edge of `bin` along each axis.
+    pub fn edges(&self, bin: usize) -> Vec<[f64; 2]> {
+        let places = self.places(bin).into_iter().zip(&self.axes);
+        places.map(|(place, axis)| [axis.edges[place], axis.edges[place + 1]]).collect()
     }
 
     /// Reciprocals of the markers' scales.
@@ -794,9 +884,12 @@ struct Seen<'a> {
     spread: &'a [f64],
 }
 
-/// What all runs saw of one bin at one width.
+/// What all runs saw of one bin, or of some put together, at one width.
 struct BinVisits<'a> {
+    /// The first of the bins.
     bin: usize,
+    /// Its edges along each axis.
+    edges: Vec<[f64; 2]>,
     /// In the order of runs, blocks and blocks of space.
     seen: Vec<Seen<'a>>,
     /// Sums of all of them.
@@ -812,7 +905,9 @@ impl BinVisits<'_> {
             // A block that did not visit the bin saw nothing there.
             let mut sums = vec![[0.0; 2]; run.blocks.len() * places];
             for seen in seen {
-                sums[seen.block * places + seen.place] = pair(seen.sums);
+                let [numerator, denominator] = pair(seen.sums);
+                let sums = &mut sums[seen.block * places + seen.place];
+                *sums = [sums[0] + numerator, sums[1] + denominator];
             }
             Run { space: run.layout.space, sums }
         };
@@ -836,7 +931,7 @@ impl BinVisits<'_> {
 /// The bins that were visited at filter width number `width`, in their order.
 fn visits(runs: &[Sums], width: usize) -> Vec<BinVisits<'_>> {
     let bins = runs.first().map_or(0, |run| run.layout.bins.len());
-    let empty = |bin| BinVisits { bin, seen: Vec::new(), total: vec![0.0; TERM_COUNT] };
+    let empty = |bin| BinVisits { bin, edges: vec![], seen: vec![], total: vec![0.0; TERM_COUNT] };
     let mut visited: Vec<BinVisits> = (0..bins).map(empty).collect();
     for (number, run) in runs.iter().enumerate() {
         for (block, of_block) in run.blocks.iter().enumerate() {
@@ -852,7 +947,50 @@ fn visits(runs: &[Sums], width: usize) -> Vec<BinVisits<'_>> {
         }
     }
     visited.retain(|bin| !bin.seen.is_empty());
-    visited
+    runs.first().map_or(vec![], |run| together(visited, &run.layout.bins))
+}
+
+/// Puts the bins together that tables have together.
+fn together<'a>(visited: Vec<BinVisits<'a>>, bins: &Bins) -> Vec<BinVisits<'a>> {
+    let places: Vec<Vec<usize>> = visited.iter().map(|visits| bins.places(visits.bin)).collect();
+    let groups: Vec<Vec<[usize; 2]>> = (0..bins.axes.len())
+        .map(|number| {
+            let axis = &bins.axes[number];
+            let mut positions = vec![0.0; axis.len()];
+            for (visits, places) in visited.iter().zip(&places) {
+                positions[places[number]] += visits.total[Term::Positions as usize];
+            }
+            axis.groups(&positions)
+        })
+        .collect();
+    let mut found: BTreeMap<usize, BinVisits> = BTreeMap::new();
+    for (visits, places) in visited.into_iter().zip(places) {
+        let of_axis = |number: usize| groups[number][places[number]];
+        let bin = (0..places.len())
+            .rev()
+            .fold(0, |bin, number| bin * bins.axes[number].len() + of_axis(number)[0]);
+        let BinVisits { seen, total, .. } = visits;
+        match found.entry(bin) {
+            Entry::Vacant(place) => {
+                let edges = bins.axes.iter().enumerate().map(|(number, axis)| {
+                    let [first, last] = of_axis(number);
+                    [axis.edges[first], axis.edges[last + 1]]
+                });
+                let edges = edges.collect();
+                place.insert(BinVisits { bin, edges, seen, total });
+            }
+            Entry::Occupied(mut ours) => {
+                let ours = ours.get_mut();
+                ours.seen.extend(seen);
+                ours.total.iter_mut().zip(total).for_each(|(ours, theirs)| *ours += theirs);
+            }
+        }
+    }
+    let mut found: Vec<BinVisits> = found.into_values().collect();
+    for visits in &mut found {
+        visits.seen.sort_by_key(|seen| (seen.run, seen.block, seen.place));
+    }
+    found
 }
 
 /// The row of a quantity in a bin that was visited.
@@ -878,7 +1016,7 @@ fn row(
     };
     let value = quantity.map.value(found.ratio);
     let [low_95, high_95] = quantity.map.interval(found.interval_95);
-    let edges = layout.bins.edges(visits.bin);
+    let edges = &visits.edges;
     let of = |marker: Marker| layout.bins.axes.iter().position(|axis| axis.marker == marker);
     let edges_of =
         |marker: Marker| of(marker).map_or([f64::NEG_INFINITY, f64::INFINITY], |axis| edges[axis]);
@@ -1179,6 +1317,63 @@ pub(crate) mod tests {
             assert_eq!(row.effective_samples, 0.0);
             assert!(row.value.is_finite());
         }
+    }
+
+    #[test]
+    fn quantiles_hold_about_equally_many_and_the_sums_of_their_bins() {
+        let grid = Grid::new([0.032, 0.032], [16, 16]);
+        let axes = |markers: &[Axis]| -> Vec<BinRow> {
+            let mut sampling = sampling::<2>(&[0.004], None);
+            sampling.bins = Bins { axes: markers.to_vec() };
+            let mut sampler = Sampler::new(grid, WenYu::new(&GAS, &POWDER), sampling).unwrap();
+            for instant in 0..40 {
+                let mut fields = random_fields(grid, instant);
+                fields.time = 0.005 * instant as f64;
+                sampler.sample(&fields);
+            }
+            bin_table(&[sampler.into_sums()], &scales()).unwrap()
+        };
+        let all = Axis::new(Marker::SolidsFraction, vec![0.0, 0.65]);
+        let whole = axes(std::slice::from_ref(&all));
+        for marker in [Marker::ShearRate, Marker::Slip, Marker::Variance, Marker::FractionGradient]
+        {
+            let rows = axes(&[all.clone(), Axis::in_quantiles(marker, 4, 0.65)]);
+            let slips = rows_of(&rows, "slip", 0.004);
+            assert_eq!(slips.len(), 4, "{marker:?}");
+            let total: u64 = slips.iter().map(|row| row.samples).sum();
+            assert_eq!(total, rows_of(&whole, "slip", 0.004)[0].samples);
+            for row in &slips {
+                let share = row.samples as f64 / total as f64;
+                assert!((0.12..0.38).contains(&share), "{marker:?} {share}");
+                assert!(row.standard_error.is_finite());
+            }
+            // The mean of the bins' means is the mean, and bins are next to each other.
+            let sum: f64 = slips.iter().map(|row| row.value * row.samples as f64).sum();
+            let mean = rows_of(&whole, "slip", 0.004)[0].value;
+            assert!((sum / total as f64 - mean).abs() < 1e-12);
+            let edges = |row: &BinRow| match marker {
+                Marker::ShearRate => [row.shear_rate_low, row.shear_rate, row.shear_rate_high],
+                Marker::Slip => [row.slip_low, row.slip, row.slip_high],
+                Marker::Variance => [row.variance_low, row.variance, row.variance_high],
+                _ => [row.fraction_gradient_low, row.fraction_gradient, row.fraction_gradient_high],
+            };
+            for pair in slips.windows(2) {
+                assert_eq!(edges(pair[0])[2], edges(pair[1])[0]);
+            }
+            for row in slips {
+                let [low, mean, high] = edges(row);
+                assert!(low < mean && mean < high, "{marker:?} {low} {mean} {high}");
+            }
+        }
+        // Three at a time.
+        let quantiles = |marker| Axis::in_quantiles(marker, 3, 0.65);
+        let rows = axes(&[
+            quantiles(Marker::SolidsFraction),
+            quantiles(Marker::SlipSpeed),
+            quantiles(Marker::PressureGradient),
+        ]);
+        let slips = rows_of(&rows, "slip_speed", 0.004);
+        assert!((20..=27).contains(&slips.len()), "{}", slips.len());
     }
 
     #[test]

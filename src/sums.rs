@@ -26,7 +26,7 @@
 //! | ρ_s, ρ_g \[kg/m³\] | f64, f64 |
 //! | number of the [`Kernel`] | u64 |
 //! | filter widths \[m\] | list of f64 |
-//! | axes of the bins: number of the [`Marker`], edges | list of u64 and list of f64 |
+//! | axes of the bins: number of the [`Marker`], quantiles or 0, edges | list of u64, u64 and list of f64 |
 //! | duration of a block \[s\] | f64 |
 //! | blocks of space along each axis | three u64 |
 //! | number of terms, number of quantities | u64, u64 |
@@ -202,8 +202,9 @@ pub(crate) fn put_sums(to: &mut dyn Write, sums: &Sums) -> io::Result<()> {
     put(to, *kernel as u64)?;
     put_list(to, widths)?;
     put(to, bins.axes.len() as u64)?;
-    for Axis { marker, edges } in &bins.axes {
+    for Axis { marker, edges, quantiles } in &bins.axes {
         put(to, *marker as u64)?;
+        put(to, quantiles.unwrap_or(0) as u64)?;
         put_list(to, edges)?;
     }
     put(to, *block_duration)?;
@@ -233,17 +234,18 @@ pub(crate) fn take_sums(from: &mut Source) -> Result<Sums, Fault> {
     let kernel = usize::try_from(number).ok().and_then(|n| Kernel::ALL.get(n)).copied();
     let kernel = kernel.ok_or_else(|| Fault::damaged("it has an unknown filter kernel"))?;
     let widths = take_list(from)?;
-    let axes = (0..from.len(16)?)
+    let axes = (0..from.len(24)?)
         .map(|_| {
             let number = take::<u64>(from)?;
             let marker = usize::try_from(number).ok().and_then(|n| Marker::ALL.get(n)).copied();
             let marker = marker.ok_or_else(|| Fault::damaged("it has an unknown marker"))?;
+            let quantiles = Some(take::<u64>(from)? as usize).filter(|quantiles| *quantiles > 0);
             let edges = take_list(from)?;
             let ascending = edges.len() > 1 && edges.is_sorted_by(|a, b| a < b);
             if !ascending {
                 return Err(Fault::damaged("the edges of its bins do not ascend"));
             }
-            Ok(Axis { marker, edges })
+            Ok(Axis { marker, edges, quantiles })
         })
         .collect::<Result<Vec<_>, Fault>>()?;
     if axes.first().is_none_or(|axis| axis.marker != Marker::SolidsFraction) {

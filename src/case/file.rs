@@ -14,8 +14,8 @@ use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
 use super::{
-    DragChoice, FieldsChoice, FrictionChoice, GranularEnergyChoice, MarkerChoice, Precision,
-    RadialDistributionChoice,
+    DragChoice, EDGE_KEYS, EdgesChoice, FieldsChoice, FrictionChoice, GranularEnergyChoice,
+    KernelChoice, MarkerChoice, Precision, RadialDistributionChoice,
 };
 use crate::laws::scales::{REFERENCE_LENGTHS, Scales};
 
@@ -36,7 +36,23 @@ pub(super) const SECTIONS: [(&str, &[&str]); 7] = [
             "gravity",
         ],
     ),
-    ("filter", &["widths", "markers", "solids_fraction_bin", "slip_bin"]),
+    (
+        "filter",
+        &[
+            "widths",
+            "kernel",
+            "markers",
+            "solids_fraction_bin",
+            "slip_bin",
+            "solids_fraction_edges",
+            "slip_edges",
+            "slip_speed_edges",
+            "pressure_gradient_edges",
+            "shear_rate_edges",
+            "solids_fraction_gradient_edges",
+            "solids_fraction_variance_edges",
+        ],
+    ),
     ("run", &["duration", "sample_interval", "seed", "perturbation", "precision"]),
     ("output", &["fields", "fields_interval"]),
 ];
@@ -353,6 +369,8 @@ pub(super) struct FilterFile {
     pub markers: Option<Typed<Vec<Typed<MarkerChoice>>>>,
     pub solids_fraction_bin: Option<Typed<f64>>,
     pub slip_bin: Option<Typed<Quantity>>,
+    pub kernel: Option<Typed<KernelChoice>>,
+    pub edges: Vec<(MarkerChoice, Typed<EdgesChoice>)>,
 }
 
 #[derive(Debug)]
@@ -462,6 +480,11 @@ pub(super) fn read(text: &str, problems: &mut Problems<'_>) -> Option<CaseFile> 
             markers: section.list("markers", "markers, such as [\"solids_fraction\"]", choice),
             solids_fraction_bin: section.optional("solids_fraction_bin", number),
             slip_bin: section.optional("slip_bin", |value| quantity(value, Kind::Velocity)),
+            kernel: section.optional("kernel", choice),
+            edges: EDGE_KEYS
+                .iter()
+                .filter_map(|&(key, marker)| Some((marker, section.optional(key, edges)?)))
+                .collect(),
         }
     };
     let run = {
@@ -741,6 +764,37 @@ fn choice<T: DeserializeOwned>(value: &Value<'_>) -> Read<T> {
             })
         }
         other => Err(format!("a name in quotes is expected, not {}", name_of(other))),
+    }
+}
+
+/// Most bins of a marker whose edges are given, and most quantiles.
+const MOST_EDGES: usize = 64;
+const MOST_QUANTILES: usize = 20;
+
+/// Edges of bins, or how many quantiles.
+fn edges(value: &Value<'_>) -> Read<EdgesChoice> {
+    let quantiles =
+        || format!("from 2 to {MOST_QUANTILES} quantiles are accepted, as \"5 quantiles\"");
+    match value.get_ref() {
+        DeValue::Array(entries) => {
+            let edges: Option<Vec<f64>> = entries.iter().map(|edge| number(edge).ok()).collect();
+            let edges = edges.filter(|edges| edges.is_sorted_by(|a, b| a < b));
+            let edges = edges.ok_or("ascending numbers are expected, without a unit")?;
+            if !(2..=MOST_EDGES).contains(&edges.len()) {
+                return Err(format!("two edges or more are accepted, to {MOST_EDGES}"));
+            }
+            Ok(EdgesChoice::Given(edges))
+        }
+        DeValue::String(text) => {
+            let count = text.trim().strip_suffix("quantiles").map(str::trim);
+            let count = count.and_then(|count| count.parse().ok());
+            let count = count.filter(|count| (2..=MOST_QUANTILES).contains(count));
+            count.map(EdgesChoice::Quantiles).ok_or_else(quantiles)
+        }
+        other => Err(format!(
+            "a list of ascending numbers or \"5 quantiles\" is expected, not {}",
+            name_of(other)
+        )),
     }
 }
 

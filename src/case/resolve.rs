@@ -9,8 +9,8 @@ use super::file::{
     CaseFile, DomainFile, FilterFile, OutputFile, Problems, Quantity, RunFile, Typed, Unit,
 };
 use super::{
-    Case, Domain, DragChoice, FieldsChoice, FilterCase, FrictionChoice, MarkerChoice, OutputCase,
-    Physics, Precision, RadialDistributionChoice, RunCase, Terms,
+    Case, Domain, DragChoice, FieldsChoice, FilterCase, FrictionChoice, KernelChoice, MarkerChoice,
+    OutputCase, Physics, Precision, RadialDistributionChoice, RunCase, Terms, quoted,
 };
 use crate::laws::scales::{Gas, Powder, Scales};
 
@@ -438,13 +438,28 @@ fn resolve_filter(
             }
         }
     };
+    let markers = markers?;
+    for (marker, edges) in &file.edges {
+        if !markers.contains(marker) {
+            let name = quoted(marker);
+            problems.refuse(
+                edges,
+                format!("{name} is no marker: add it to markers, or leave this out"),
+            );
+        }
+    }
     Some(FilterCase {
         widths: widths?,
-        markers: markers?,
+        kernel: file.kernel.as_ref().map_or(KernelChoice::Box, |typed| typed.value),
+        edges: file.edges.iter().map(|(marker, edges)| (*marker, edges.value.clone())).collect(),
+        markers,
         solids_fraction_bin: solids_fraction_bin?,
         slip_bin: slip_bin?,
     })
 }
+
+/// Most markers at a time: bins of more would hold next to nothing.
+const MOST_MARKERS: usize = 3;
 
 fn resolve_markers(
     typed: &Typed<Vec<Typed<MarkerChoice>>>,
@@ -456,6 +471,10 @@ fn resolve_markers(
             problems.refuse(marker, "given twice: each marker is accepted once");
             return None;
         }
+    }
+    if markers.len() > MOST_MARKERS {
+        problems.refuse(typed, "at most three markers are accepted at a time");
+        return None;
     }
     let Some(place) = markers.iter().position(|marker| *marker == MarkerChoice::SolidsFraction)
     else {

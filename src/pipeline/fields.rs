@@ -180,13 +180,13 @@ fn sample(
     let step = case.run.sample_interval;
     let due = |(n, time): (usize, &f64)| (time / step - n as f64).abs() < 1e-6 * (n as f64 + 1.0);
     let complete = own && signals.time.iter().enumerate().all(due);
-    let start = match (from, complete) {
-        (Some(from), _) => from,
-        (None, true) => signals.start().0,
-        (None, false) => first,
-    };
+    let start = from.or(complete.then(|| signals.start().0));
     let mut sums = sampler.into_sums();
-    sums.discard_before(start);
+    // A block that began before is not whole; without a start there is none.
+    if let Some(start) = start {
+        sums.discard_before(start);
+    }
+    let start = start.unwrap_or(first);
     if sums.blocks.is_empty() {
         return Err(RunError::NothingFrom { start, last });
     }
