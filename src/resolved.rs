@@ -258,6 +258,44 @@ pub(crate) const POINT_DATA: &str = "it is point data, given at the corners of c
     data are needed: write cell data, or convert with a filter such as ParaView's Point Data to \
     Cell Data";
 
+/// The numbers in `bytes` of the type `code`, f, i or u and a number's bytes; none of another type.
+pub(crate) fn decode(
+    code: &str,
+    big_endian: bool,
+    bytes: &[u8],
+) -> Option<Result<Vec<f64>, String>> {
+    macro_rules! read {
+        ($type:ty) => {{
+            let value = |number: &[u8]| {
+                let mut array = [0; size_of::<$type>()];
+                array.copy_from_slice(number);
+                match big_endian {
+                    true => <$type>::from_be_bytes(array) as f64,
+                    false => <$type>::from_le_bytes(array) as f64,
+                }
+            };
+            let numbers = bytes.chunks_exact(size_of::<$type>());
+            match numbers.remainder() {
+                [] => Ok(numbers.map(value).collect()),
+                _ => Err(format!("{} bytes are no whole number of {code}", bytes.len())),
+            }
+        }};
+    }
+    Some(match code {
+        "f8" => read!(f64),
+        "f4" => read!(f32),
+        "i1" => read!(i8),
+        "i2" => read!(i16),
+        "i4" => read!(i32),
+        "i8" => read!(i64),
+        "u1" => read!(u8),
+        "u2" => read!(u16),
+        "u4" => read!(u32),
+        "u8" => read!(u64),
+        _ => return None,
+    })
+}
+
 /// Resolved fields of one instant, and what their files say besides.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Resolved {

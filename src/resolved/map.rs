@@ -890,7 +890,7 @@ impl Finder<'_> {
         let label = choice.iter().map(Expression::text).collect::<Vec<_>>().join(", ");
         let mut columns = Columns::new();
         for formula in choice {
-            for name in formula.names().into_iter().filter(|name| !there(name)) {
+            if let Some(name) = formula.names().into_iter().find(|name| !there(name)) {
                 if let Some((path, why)) = self.hindrance(name) {
                     return Err(ResolvedError::array(path, name, why));
                 }

@@ -4,7 +4,7 @@
 //! archives stored or deflated. Written: version 1, `<f8` or `|u1`, C order, archives stored, with no
 //! time in them, so that equal fields are equal bytes.
 
-use super::{Array, Columns, Lattice, Piece, ResolvedError};
+use super::{Array, Columns, Lattice, Piece, ResolvedError, decode};
 use std::fs::{self, File};
 use std::io::{self, BufReader, Read, Seek, Write};
 use std::path::Path;
@@ -86,37 +86,14 @@ fn entry(header: &str, key: &str) -> Result<String, String> {
 
 /// The numbers of NumPy's type `kind` in `data`.
 fn numbers(kind: &str, data: &[u8]) -> Result<Vec<f64>, String> {
-    let big = kind.starts_with('>');
-    macro_rules! read {
-        ($type:ty) => {{
-            const SIZE: usize = size_of::<$type>();
-            if data.len() % SIZE != 0 {
-                return Err(format!("{} bytes are no whole number of {kind}", data.len()));
-            }
-            let value = |bytes: &[u8]| {
-                let mut array = [0; SIZE];
-                array.copy_from_slice(bytes);
-                if big { <$type>::from_be_bytes(array) } else { <$type>::from_le_bytes(array) }
-            };
-            Ok(data.chunks_exact(SIZE).map(|bytes| value(bytes) as f64).collect())
-        }};
-    }
-    match kind.trim_start_matches(['<', '>', '|', '=']) {
-        "f8" => read!(f64),
-        "f4" => read!(f32),
-        "i1" => read!(i8),
-        "i2" => read!(i16),
-        "i4" => read!(i32),
-        "i8" => read!(i64),
-        "u1" | "b1" => read!(u8),
-        "u2" => read!(u16),
-        "u4" => read!(u32),
-        "u8" => read!(u64),
-        _ => Err(format!(
+    let code = kind.trim_start_matches(['<', '>', '|', '=']);
+    let code = if code == "b1" { "u1" } else { code };
+    decode(code, kind.starts_with('>'), data).unwrap_or_else(|| {
+        Err(format!(
             "its elements are of type {kind}: real numbers are read (f4, f8, i1 to i8, u1 to u8); \
              save it with .astype(\"f8\")"
-        )),
-    }
+        ))
+    })
 }
 
 /// `values` whose first index is fastest, with the last one fastest.
@@ -204,7 +181,7 @@ pub fn read(
         }
     }
     arrays.retain(|(name, _)| !SPECIAL.contains(&name.as_str()));
-    let order = axes.as_deref().map(|axes| order(axes)).transpose();
+    let order = axes.as_deref().map(order).transpose();
     let order = order.map_err(|why| ResolvedError::format(path, why))?;
     let mut cells = None;
     // The arrays of fewest axes are scalars and have the shape of the grid.

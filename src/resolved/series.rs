@@ -408,8 +408,9 @@ fn plausible(resolved: &Resolved, case: &Case) -> Result<(), ResolvedError> {
             let (low, high) = pressure
                 .iter()
                 .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), p| (a.min(*p), b.max(*p)));
-            let cells = resolved.fields.cells[vertical] as f64;
-            (high - low) / (cells * spacing[vertical])
+            // From the centre of the lowest cell to that of the highest.
+            let steps = (resolved.fields.cells[vertical] - 1).max(1) as f64;
+            (high - low) / (steps * spacing[vertical])
         }
         None => 0.0,
     };

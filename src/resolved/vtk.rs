@@ -4,7 +4,7 @@
 //! Read: ascii, inline base64 and appended raw or base64 data, plain or compressed by zlib, LZ4 or
 //! LZMA, either byte order and size of header. Cells of an unstructured grid may come in any order.
 
-use super::{Array, Columns, Lattice, POINT_DATA, Piece, ResolvedError};
+use super::{Array, Columns, Lattice, POINT_DATA, Piece, ResolvedError, decode};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use flate2::read::ZlibDecoder;
@@ -139,36 +139,21 @@ impl Encoding<'_> {
     }
 
     fn numbers(&self, kind: &str, bytes: &[u8]) -> Result<Vec<f64>, String> {
-        macro_rules! read {
-            ($type:ty) => {{
-                const SIZE: usize = size_of::<$type>();
-                if bytes.len() % SIZE != 0 {
-                    return Err(format!("{} bytes are no whole number of {kind}", bytes.len()));
-                }
-                let value = |bytes: &[u8]| {
-                    let mut array = [0; SIZE];
-                    array.copy_from_slice(bytes);
-                    match self.big_endian {
-                        true => <$type>::from_be_bytes(array),
-                        false => <$type>::from_le_bytes(array),
-                    }
-                };
-                Ok(bytes.chunks_exact(SIZE).map(|bytes| value(bytes) as f64).collect())
-            }};
-        }
-        match kind {
-            "Float64" => read!(f64),
-            "Float32" => read!(f32),
-            "Int8" => read!(i8),
-            "UInt8" => read!(u8),
-            "Int16" => read!(i16),
-            "UInt16" => read!(u16),
-            "Int32" => read!(i32),
-            "UInt32" => read!(u32),
-            "Int64" => read!(i64),
-            "UInt64" => read!(u64),
-            other => Err(format!("its type {other} is not a number")),
-        }
+        let code = match kind {
+            "Float64" => "f8",
+            "Float32" => "f4",
+            "Int8" => "i1",
+            "UInt8" => "u1",
+            "Int16" => "i2",
+            "UInt16" => "u2",
+            "Int32" => "i4",
+            "UInt32" => "u4",
+            "Int64" => "i8",
+            "UInt64" => "u8",
+            other => other,
+        };
+        decode(code, self.big_endian, bytes)
+            .unwrap_or_else(|| Err(format!("its type {kind} is not a number")))
     }
 
     fn word(&self, bytes: &[u8]) -> u64 {

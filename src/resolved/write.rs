@@ -282,7 +282,7 @@ impl Recorder {
         fine: &FineFields<D>,
         signals: impl Fn(usize) -> [f64; 3],
     ) -> Result<(), RecordError> {
-        if sample % self.every != 0 {
+        if !sample.is_multiple_of(self.every) {
             return Ok(());
         }
         let path = self.folder.join(self.name(sample));
