@@ -389,7 +389,7 @@ mod tests {
         assert_eq!(pool.bins, bin_table(&all, &scales()).unwrap());
         // A pool is a file of sums again.
         let whole = saved(dir.path(), "pool", &pool.file);
-        assert_eq!(Pool::read(&[whole.clone()]).unwrap().bins, pool.bins);
+        assert_eq!(Pool::read(std::slice::from_ref(&whole)).unwrap().bins, pool.bins);
         assert_eq!(SumsFile::read(&whole).unwrap(), pool.file);
         // The same fields, whatever the box: disagreements are those of chance.
         let summary = pool.summary();

@@ -365,8 +365,7 @@ fn impossible(row: &BinRow) -> Option<(&'static str, &'static str)> {
         [row.variance_low, row.variance_high],
     ];
     for (marker, [low, high]) in edges.into_iter().enumerate() {
-        // Written so that NaN is refused too.
-        if !(low < high) {
+        if low >= high || low.is_nan() || high.is_nan() {
             return Some((BIN_COLUMNS[19 + 3 * marker], "must be a number below the upper edge"));
         }
     }

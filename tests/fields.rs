@@ -4,6 +4,9 @@
 //! Files of other programs are made by running them. Where one is not installed its test says so and
 //! does nothing: `.ci/run` installs them.
 
+// A loop over the axes, or over cells, indexes several arrays at once.
+#![allow(clippy::needless_range_loop)]
+
 use assert_cmd::cargo::cargo_bin;
 use favre::resolved::map::Map;
 use favre::resolved::openfoam::{self, Mesh};

@@ -90,7 +90,7 @@ fn check<const D: usize>(cells: [usize; D], width: [usize; D], test: [usize; D],
         let resolved = residual(&wider, &coarse, &coarse_flux, &product(&coarse_flux, &velocity));
         let sum: Vec<f64> = inner.iter().zip(&resolved).map(|(a, b)| a + b).collect();
         let smallest = both(&fraction).iter().fold(f64::INFINITY, |least, phi| least.min(*phi));
-        near(&nested, &sum, 1e-12 / smallest.min(1.0).max(1e-3), name);
+        near(&nested, &sum, 1e-12 / smallest.clamp(1e-3, 1.0), name);
     }
 }
 

@@ -105,3 +105,44 @@ fn drag_correction_rises_with_filter_width(bins: &[BinRow]) {
     }
     assert!(pairs > 10, "{pairs} pairs of widths");
 }
+
+#[test]
+fn runs_are_pooled_from_their_sums() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let markers =
+        "markers = [\"solids_fraction\", \"shear_rate\"]\nshear_rate_edges = \"3 quantiles\"\n";
+    for seed in [1, 2] {
+        let case = at(&format!("seed-{seed}.toml"));
+        let text = SMALL.replace("[run]", &format!("{markers}[run]\nseed = {seed}"));
+        fs::write(&case, text).unwrap();
+        run(&case, &at(&seed.to_string()), &["--duration", "30 u_t/g"]);
+    }
+    let filter = |runs: &[&str], out: &str| {
+        let mut command = Command::cargo_bin("favre").unwrap();
+        command.arg("filter").args(runs.iter().map(|run| at(run))).arg("--out").arg(at(out));
+        command.assert()
+    };
+    // A pool of one run is that run.
+    filter(&["1"], "alone").success();
+    let bytes = |name: &str| fs::read(at(name).join("bins.csv")).unwrap();
+    assert!(bytes("alone") == bytes("1"));
+    let said = filter(&["1", "2"], "both").success();
+    let said = String::from_utf8(said.get_output().stdout.clone()).unwrap();
+    assert!(said.starts_with("4 runs pooled"), "{said}");
+    assert!(said.contains("compared bin by bin"), "{said}");
+    let samples = |name: &str| -> u64 {
+        let rows = read_bins(&at(name).join("bins.csv")).unwrap();
+        let one = rows.iter().filter(|row| row.quantity == "slip" && row.filter_width == 0.01);
+        one.map(|row| row.samples).sum()
+    };
+    assert_eq!(samples("both"), samples("1") + samples("2"));
+    // A pool is pooled as its runs are, whichever file is named; a run counts once.
+    filter(&["both/sums.favre"], "again").success();
+    assert!(bytes("again") == bytes("both"));
+    let refused = filter(&["both", "2"], "twice").failure().code(2);
+    let said = String::from_utf8(refused.get_output().stderr.clone()).unwrap();
+    assert!(said.contains("a run counts once"), "{said}");
+    assert!(!at("twice").exists());
+    filter(&["none"], "nothing").failure().code(2);
+}
