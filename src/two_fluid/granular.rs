@@ -51,6 +51,17 @@ pub(super) trait ContactRow<R>: Send + Sync {
         conducts: bool,
     );
 
+    /// Leaves what the filter sees of the laws: solids pressure, viscosity, bulk viscosity; nothing
+    /// is bounded, and friction has no viscosity yet.
+    fn seen(
+        &self,
+        outputs: [&mut [R]; 3],
+        theory: KineticTheory<R>,
+        phi: &[R],
+        theta: &[R],
+        drag: &[R],
+    );
+
     /// Whether friction has a viscosity.
     fn rubs(&self) -> bool;
 
@@ -124,6 +135,18 @@ impl<R: Real, G: RadialDistribution<R>, F: Friction<R>> ContactRow<R> for Contac
         if conducts { made!(true) } else { made!(false) }
     }
 
+    fn seen(
+        &self,
+        [pressure, viscosity, bulk]: [&mut [R]; 3],
+        theory: KineticTheory<R>,
+        phi: &[R],
+        theta: &[R],
+        drag: &[R],
+    ) {
+        let Self { radial, friction } = *self;
+        seen_row(pressure, viscosity, bulk, theory, radial, friction, phi, theta, drag);
+    }
+
     fn rubs(&self) -> bool {
         F::VISCOUS
     }
@@ -175,6 +198,31 @@ impl<R: Real, G: RadialDistribution<R>, F: Friction<R>> ContactRow<R> for Contac
 
     fn frictional_viscosity(&self, phi: R, theta: R, second_invariant: R) -> R {
         self.friction.viscosity(phi, theta, second_invariant)
+    }
+}
+
+simd! {
+    fn seen_row[R: Real, G: RadialDistribution<R>, F: Friction<R>](
+        pressure: &mut [R],
+        viscosity: &mut [R],
+        bulk: &mut [R],
+        theory: KineticTheory<R>,
+        radial: G,
+        friction: F,
+        phi: &[R],
+        theta: &[R],
+        drag: &[R],
+    ) {
+        let n = pressure.len();
+        let (viscosity, bulk) = (&mut viscosity[..n], &mut bulk[..n]);
+        let (phi, theta, drag) = (&phi[..n], &theta[..n], &drag[..n]);
+        for i in 0..n {
+            let g0 = radial.contact(phi[i]);
+            let transport = theory.transport(phi[i], g0, theta[i], drag[i]);
+            pressure[i] = theory.pressure(phi[i], g0, theta[i]) + friction.pressure(phi[i]).0;
+            viscosity[i] = transport.viscosity;
+            bulk[i] = transport.bulk_viscosity;
+        }
     }
 }
 
