@@ -17,9 +17,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let (h, n, layout) = (self.grid.spacing, self.grid.cells[0], self.rows.layout());
         let Medium { theory, contact, drag, .. } = &self.seen;
         let mut rates = vec![vec![0.0; n]; symmetric_components(D)];
-        let [mut divergence, mut slip_squared, mut beta_per_fraction, mut g0, mut sound] =
+        let [mut divergence, mut slip_squared, mut beta_per_fraction, mut viscosity, mut bulk] =
             std::array::from_fn(|_| vec![0.0; n]);
-        let [mut viscosity, mut bulk, mut idle, mut limit] = std::array::from_fn(|_| vec![0.0; n]);
         for number in 0..layout.rows() {
             let (row, cells) = (layout.row(number), number * n..(number + 1) * n);
             let phi = &mut fine.solids_fraction[cells.clone()];
@@ -58,13 +57,10 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             }
 
             drag.fill(&mut beta_per_fraction, phi, &slip_squared);
-            // Nothing is bounded: these are the laws, not what a step can bear.
-            let bounds = [f64::INFINITY; 2];
-            let (g0, beta) = (&mut g0[..], &beta_per_fraction[..]);
-            let outputs = [&mut *g0, &mut viscosity, &mut bulk, &mut idle, &mut limit];
-            contact.kinetic(outputs, &self.seen, phi, theta, beta, bounds, false);
+            let beta = &beta_per_fraction[..];
             let pressure = &mut fine.solids_pressure[cells.clone()];
-            contact.pressure([&mut *pressure, &mut sound], *theory, phi, g0, theta, beta, 0.0);
+            let outputs = [&mut *pressure, &mut viscosity, &mut bulk];
+            contact.seen(outputs, *theory, phi, theta, beta);
             dilate_row(pressure, &bulk, &divergence);
             product_row(&mut fine.drag_coefficient[cells.clone()], phi, beta);
             if contact.rubs() {
