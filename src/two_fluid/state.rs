@@ -103,7 +103,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             .for_each(copy);
         tiled.solids.iter_mut().zip(&self.solids).for_each(copy);
         tiled.gas.iter_mut().zip(&self.gas).for_each(copy);
-        tiled.find_speeds();
+        tiled.find_gas_speed();
         tiled
     }
 
@@ -136,7 +136,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         for field in scalars.into_iter().chain(&mut self.solids).chain(&mut self.gas) {
             read_field(field, from)?;
         }
-        self.find_speeds();
+        self.find_gas_speed();
         Ok(())
     }
 }
