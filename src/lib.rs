@@ -15,6 +15,7 @@ pub mod stencil;
 pub mod laws;
 pub mod two_fluid;
 
+pub mod expression;
 pub mod fine;
 pub mod lanes;
 
