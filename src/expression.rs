@@ -162,6 +162,11 @@ impl Expression {
         }
     }
 
+    /// The formula that is `root`, a part of another; it has no text.
+    pub fn of(root: Node) -> Self {
+        Self { text: String::new(), root }
+    }
+
     /// The formula as it was typed.
     pub fn text(&self) -> &str {
         &self.text

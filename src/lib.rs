@@ -32,8 +32,10 @@ pub mod statistics;
 pub mod stored;
 pub mod sums;
 
+pub mod closure;
 pub mod fit;
 pub mod forms;
+pub mod lint;
 pub mod model;
 pub mod table;
 
