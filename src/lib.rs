@@ -33,6 +33,7 @@ pub mod stored;
 pub mod sums;
 
 pub mod closure;
+pub mod compare;
 pub mod fit;
 pub mod forms;
 pub mod lint;

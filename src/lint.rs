@@ -117,7 +117,9 @@ pub fn check(closure: &Closure) -> Report {
         view.effects(&mut seen);
         view.range(&mut seen);
         let name = &quantity.file.predicts;
-        settle(closure, name, &CHECKS, seen, &mut used, &mut report);
+        let checks: Vec<&str> =
+            CHECKS.into_iter().filter(|check| view.is_drag() || *check != "limits").collect();
+        settle(closure, name, &checks, seen, &mut used, &mut report);
         if quantity.file.ranges.iter().any(|range| range.low > 0.0) {
             let outside = match closure.file.outside {
                 Outside::Clamp => "markers are moved to the nearest end of their ranges",
@@ -211,8 +213,8 @@ fn made_sure(check: &str) -> &'static str {
         "system" => "u_t is the true terminal velocity, Fr_p and lengths follow from it",
         "test_vectors" => "all given to 1e-12",
         "finite" => "a number everywhere inside the ranges, and far outside",
-        "bounds" => "0 <= H < 1, stresses not negative",
-        "limits" => "vanishes without particles, without a filter and at close packing",
+        "bounds" => "nowhere negative, and a drag correction below 1",
+        "limits" => "vanishes without particles, without a filter, at close packing and above",
         "monotone" => "does not fall with the filter width",
         "continuity" => "no jump above 2 % at any switch of a formula",
         "singularity" => "no divisor changes its sign",
@@ -656,7 +658,11 @@ impl<'a> View<'a> {
         }
         let scale = before.abs().max(after.abs()).max(SMALL * self.largest);
         let size = (after - before).abs() / scale;
-        if size > 0.0 {
+        // A root that starts at its switch is steep and no jump: it shrinks with the step.
+        let wide = 1e-6 * b.abs().max(1e-12);
+        let wider = (self.quantity.at(&at(b + wide)) - self.quantity.at(&at(a - wide))).abs();
+        let shrinks = !singular && (after - before).abs() < 0.3 * wider;
+        if size > 0.0 && !shrinks {
             found.push(Crossing { marker, at: b, point, before, after, size, singular });
         }
     }
@@ -847,7 +853,7 @@ mod tests {
     fn what_is_shipped_is_clean_or_says_what_is_wrong() {
         for (name, _) in BUILT_IN {
             let report = check(&Closure::find(name).unwrap());
-            println!("{report}");
+            assert_eq!(report.faults(), 0, "{report}");
         }
     }
 }
