@@ -856,4 +856,122 @@ mod tests {
             assert_eq!(report.faults(), 0, "{report}");
         }
     }
+
+    fn text(name: &str) -> &'static str {
+        BUILT_IN.iter().find(|(known, _)| *known == name).unwrap().1
+    }
+
+    /// A shipped closure with one thing changed, and test vectors that agree with the change: whoever
+    /// made the mistake made them with it.
+    fn planted(name: &str, from: &str, to: &str) -> Report {
+        let good = text(name);
+        assert!(good.contains(from), "{name} has no {from}");
+        let path = Path::new("planted.toml");
+        let mut closure = Closure::parse(&good.replace(from, to), path).unwrap();
+        for i in 0..closure.quantities.len() {
+            let quantity = closure.quantities[i].clone();
+            for vector in &mut closure.file.quantities[i].test_vectors {
+                let found = quantity.at(&quantity.point(vector));
+                vector.expected = if found.is_finite() { found } else { 0.0 };
+            }
+        }
+        check(&Closure::parse(&toml::to_string(&closure.file).unwrap(), path).unwrap())
+    }
+
+    fn found(report: &Report, check: &str, words: &str) {
+        let fault = |finding: &&Finding| finding.verdict == Verdict::Fault;
+        let faults: Vec<&Finding> = report.findings.iter().filter(fault).collect();
+        let hit = faults.iter().any(|f| f.check == check && f.what.contains(words));
+        assert!(hit, "no fault `{check}` with \"{words}\" in\n{report}");
+    }
+
+    /// Bar 2, second half: faults known from public codes, none of them named to the linter.
+    #[test]
+    fn planted_faults_are_found() {
+        let (flat, deep) = ("igci-sundaresan-2011-2d", "igci-sundaresan-2011-3d");
+        // Wrong coefficients, as printed in a public code.
+        for name in [flat, deep] {
+            found(
+                &planted(name, "phi^-0.455", "phi^-0.445"),
+                "continuity",
+                "jumps at phi = 0.0012",
+            );
+            found(&planted(name, "-1501", "-1051"), "continuity", "jumps at phi = 0.455");
+        }
+        found(&planted(deep, "0.00615", "0.00515"), "continuity", "jumps at phi = 0.29");
+        let radl = "radl-sundaresan-2014";
+        found(&planted(radl, "0.887 +", "0.787 +"), "continuity", "jumps at phi = 0.18");
+        // Classes of the filter size.
+        let classes = "piecewise(D < 2, 0.4, D < 4, 0.55, D < 8, 0.7, 0.8)";
+        let report = planted(flat, "D^1.3/(D^1.3 + 1.5)", classes);
+        for edge in ["2", "4", "8"] {
+            let words = format!("jumps at D = {edge} (filter-size classes)");
+            found(&report, "continuity", &words);
+        }
+        found(&report, "limits", "does not vanish without a filter");
+        // No end near packing.
+        let report = planted(
+            flat,
+            "  phi <= 0.59, (phi - 0.59)*(-1501*phi^3 + 2203*phi^2 - 1054*phi + 162),\n  0)",
+            "  (phi - 0.59)*(-1501*phi^3 + 2203*phi^2 - 1054*phi + 162))",
+        );
+        found(&report, "bounds", "outside the ranges");
+        found(&report, "limits", "above close packing");
+        found(&planted(radl, "max(0, h/(a/D + 1))", "h/(a/D + 1)"), "bounds", "-");
+        let sarkar = planted("sarkar-2016", "/(1 + exp(100*(phi - 0.55)))", "");
+        found(&sarkar, "limits", "at close packing");
+        // Exponents that an integer division leaves.
+        let milioli = "milioli-2013";
+        found(&planted(milioli, "D^(2/7)", "D^0"), "exponents", "exponent 0");
+        found(&planted(milioli, "D^(2/7)", "D^(0/7)"), "exponents", "exponent 0");
+        found(&planted(milioli, "D^(2/7)*", ""), "exponents", "16/7 = 2.286 is stated");
+        let stress = "sarkar-2016-stress";
+        found(&planted(stress, "*D^(12/7)", "*D^1"), "exponents", "12/7 = 1.714 is stated");
+        found(&planted(flat, "f*h", "f*h*D^(1/2 - 0.5)"), "exponents", "exponent 0");
+        found(
+            &planted(flat, "0.0003013470253420511", "0.004864947967296991"),
+            "system",
+            "length_ii",
+        );
+        // Stokes' terminal velocity, with lengths that agree with it.
+        let scales = "terminal_velocity = 0.21846084216441053\nfroude = 64.86597289729323\n\
+                      length_i = 0.004864947967296991\nlength_ii = 0.0003013470253420511";
+        let stokes = "terminal_velocity = 0.2552\nfroude = 88.52\n\
+                      length_i = 0.006639\nlength_ii = 0.0003343";
+        let report = planted(flat, scales, stokes);
+        found(&report, "system", "0.2552 m/s (it is Stokes' value)");
+    }
+
+    #[test]
+    fn other_faults_are_found_too() {
+        let flat = "igci-sundaresan-2011-2d";
+        let sign = planted("schneiderbauer-pirker-2014", "D^2.664 + 25.89", "D^2.664 - 25.89");
+        found(&sign, "singularity", "a divisor vanishes at D = 3.39");
+        found(&planted(flat, "D^1.3/(D^1.3 + 1.5)", "1/(D^1.3 + 1.5)"), "monotone", "falls");
+        found(&planted(flat, "\"f*h\"", "\"h\""), "effects", "filter_width has no effect");
+        found(&planted(flat, "\"f*h\"", "\"1.3*f*h\""), "bounds", "inside the ranges");
+        found(&planted(flat, "high = 0.59", "high = 0.9"), "range", "denser than any packing");
+        found(&planted(flat, "\"f*h\"", "\"f*h*sqrt(10 - D)\""), "finite", "inside the ranges");
+        // A listed flaw that is gone, or has grown, is told.
+        let gone = planted("radl-sundaresan-2014", "phi < 0.016, 21.51,\n", "");
+        found(&gone, "known_flaws", "that is not there");
+        let grown = planted("cloete-2018", "W^-0.005543", "W^-0.5");
+        found(&grown, "monotone", "falls");
+        // Test vectors that do not agree.
+        let wrong = text(flat).replacen("f*h", "1.000000001*f*h", 1);
+        let report = check(&Closure::parse(&wrong, Path::new("wrong.toml")).unwrap());
+        found(&report, "test_vectors", "missed");
+    }
+
+    #[test]
+    fn numbers_are_short() {
+        assert_eq!(
+            [0.0, 1.028, 12.336, 0.0012, 3.389, 21.51].map(round).join(" "),
+            "0 1.028 12.34 0.0012 3.389 21.51"
+        );
+        assert_eq!(
+            [1.5e-5, 6740.0, -0.25, 1e9].map(round).join(" "),
+            "1.500e-5 6740 -0.25 1.000e9"
+        );
+    }
 }

@@ -215,6 +215,7 @@ fn pass_text(quantity: &Quantity) -> io::Result<()> {
     let mut columns = vec![Vec::new(); count];
     let (mut values, mut out) = (Vec::new(), Vec::<u8>::new());
     let mut text: Vec<u8> = Vec::new();
+    let mut shortest = zmij::Buffer::new();
     let mut line_number = 0;
     let mut ended = false;
     while !ended {
@@ -238,7 +239,8 @@ fn pass_text(quantity: &Quantity) -> io::Result<()> {
             batch(quantity, &mut columns, &mut values);
             out.clear();
             for value in &values {
-                writeln!(out, "{value}")?;
+                out.extend_from_slice(shortest.format(*value).as_bytes());
+                out.push(b'\n');
             }
             stdout.write_all(&out)?;
         }
@@ -256,23 +258,52 @@ fn read_point(
     let bad = |why: String| {
         io::Error::new(io::ErrorKind::InvalidData, format!("standard input, line {number}: {why}"))
     };
-    let line = std::str::from_utf8(line).map_err(|_| bad("not text".into()))?;
-    let mut parts = line.split([',', ' ', '\t', '\r']).filter(|part| !part.is_empty());
-    let Some(first) = parts.next() else { return Ok(()) };
     let mut found = 0;
-    for part in std::iter::once(first).chain(&mut parts) {
-        let value = part.parse::<f64>().ok().filter(|value| value.is_finite());
-        let value = value.ok_or_else(|| bad(format!("\"{part}\" is no finite number")))?;
-        if found < columns.len() {
-            columns[found].push(value);
+    for part in line.split(|byte| b", \t\r".contains(byte)).filter(|part| !part.is_empty()) {
+        let value = number_of(part).ok_or_else(|| {
+            bad(format!("\"{}\" is no finite number", String::from_utf8_lossy(part)))
+        })?;
+        if let Some(column) = columns.get_mut(found) {
+            column.push(value);
         }
         found += 1;
+    }
+    if found == 0 {
+        return Ok(());
     }
     if found == columns.len() {
         return Ok(());
     }
     let markers: Vec<String> = quantity.markers().map(|marker| marker.to_string()).collect();
     Err(bad(format!("{found} numbers, and the markers are {}", markers.join(", "))))
+}
+
+/// Powers of ten that are doubles exactly.
+const TENS: [f64; 23] = [
+    1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16,
+    1e17, 1e18, 1e19, 1e20, 1e21, 1e22,
+];
+
+/// The double nearest to a decimal number; none if it is no finite number.
+fn number_of(text: &[u8]) -> Option<f64> {
+    // Up to 15 digits, and a power of ten that is exact: one division rounds once.
+    let (mut digits, mut count, mut behind) = (0u64, 0, None);
+    for byte in text {
+        match byte {
+            b'0'..=b'9' => {
+                digits = 10 * digits + u64::from(byte - b'0');
+                count += 1;
+                behind = behind.map(|places| places + 1);
+            }
+            b'.' if behind.is_none() => behind = Some(0),
+            _ => count = 16,
+        }
+        if count > 15 {
+            let number = std::str::from_utf8(text).ok()?.parse::<f64>().ok()?;
+            return number.is_finite().then_some(number);
+        }
+    }
+    (count > 0).then(|| digits as f64 / TENS[behind.unwrap_or(0)])
 }
 
 fn comparison(args: &cli::Compare) -> Result<(), Failure> {
@@ -316,5 +347,23 @@ fn check(names: &[String], quiet: bool, json: bool) -> Result<(), Failure> {
         0 => Ok(()),
         1 => Err(Failure::failed("1 fault")),
         faults => Err(Failure::failed(format!("{faults} faults"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_read_to_the_last_bit() {
+        for text in ["0.15", "16.448", "1", ".5", "3.", "0.000123456789012", "123456789012345"] {
+            assert_eq!(number_of(text.as_bytes()), text.parse().ok(), "{text}");
+        }
+        for text in ["-0.25", "1e-3", "2.5E+2", "0.1234567890123456789", "00000000000000000.5"] {
+            assert_eq!(number_of(text.as_bytes()), text.parse().ok(), "{text}");
+        }
+        for text in ["", ".", "1.2.3", "nan", "inf", "abc", "1e999", "--1"] {
+            assert_eq!(number_of(text.as_bytes()), None, "{text}");
+        }
     }
 }
