@@ -6,7 +6,7 @@
 //! same but `[run] duration`, which may be any that has not been passed yet: so a run can be
 //! prolonged. Once the run has its folder, the checkpoint is removed.
 //!
-//! # Format, version 1
+//! # Format, version 2
 //!
 //! Numbers are little-endian. A text is its length (u64) and UTF-8; a list its length (u64) and its
 //! elements. `Signals`, `Cost` and `Sums` are their fields in the order in which they are declared.
@@ -21,7 +21,7 @@
 //! | whether the run is to replace an earlier one (`--force`) | u8, 0 or 1 |
 //! | seconds of the wall clock that the run has taken so far | f64 |
 //! | simulated time \[s\] | f64 |
-//! | [`Signals`] | four lists of f64 |
+//! | [`Signals`] | five lists of f64 |
 //! | [`Cost`] | u64 and f64 |
 //! | [`Sums`] | lists, f64 and u64; NaN for no slip bins; the number of quantities before the blocks |
 //! | the state of the flow ([`TwoFluid::save_state`](crate::two_fluid::TwoFluid::save_state)) | the rest |
@@ -41,7 +41,7 @@ use std::time::{Duration, Instant};
 const MAGIC: &[u8; 8] = b"favrebox";
 
 /// Version of the format.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// Version of the program: another one may compute other bits.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -581,8 +581,9 @@ fn take_list(from: &mut Source) -> Result<Vec<f64>, Fault> {
 }
 
 fn put_signals(to: &mut impl Write, signals: &Signals) -> io::Result<()> {
-    let Signals { time, slip, particle_slip, solids_fraction_variance } = signals;
-    [time, slip, particle_slip, solids_fraction_variance]
+    let Signals { time, slip, particle_slip, solids_fraction_variance, pressure_gradient } =
+        signals;
+    [time, slip, particle_slip, solids_fraction_variance, pressure_gradient]
         .into_iter()
         .try_for_each(|signal| put_list(to, signal))
 }
@@ -593,10 +594,13 @@ fn take_signals(from: &mut Source) -> Result<Signals, Fault> {
         slip: take_list(from)?,
         particle_slip: take_list(from)?,
         solids_fraction_variance: take_list(from)?,
+        pressure_gradient: take_list(from)?,
     };
-    let Signals { time, slip, particle_slip, solids_fraction_variance } = &signals;
-    let equal =
-        [slip, particle_slip, solids_fraction_variance].iter().all(|s| s.len() == time.len());
+    let Signals { time, slip, particle_slip, solids_fraction_variance, pressure_gradient } =
+        &signals;
+    let equal = [slip, particle_slip, solids_fraction_variance, pressure_gradient]
+        .iter()
+        .all(|s| s.len() == time.len());
     if equal { Ok(signals) } else { Err(Fault::damaged("its signals differ in length")) }
 }
 
@@ -1057,8 +1061,8 @@ mod tests {
             fs::write(file(&base), signed(bytes)).unwrap();
             resume(&base, &case).unwrap_err()
         };
-        let refused = edited(8, 2);
-        assert!(matches!(refused, CheckpointError::Format { found: 2, .. }), "{refused:?}");
+        let refused = edited(8, 1);
+        assert!(matches!(refused, CheckpointError::Format { found: 1, .. }), "{refused:?}");
         let refused = edited(20, b'x');
         let CheckpointError::Version { found, .. } = refused else { panic!("{refused:?}") };
         assert_eq!(found, format!("x{}", &VERSION[1..]));

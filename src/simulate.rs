@@ -1,6 +1,6 @@
 //! [`simulate`]: one box from its start to its end, sampled in flight.
 
-use crate::case::{Case, MarkerChoice};
+use crate::case::{Case, Drive, MarkerChoice};
 use crate::filter::FilterError;
 use crate::fine::FineFields;
 use crate::grid::Grid;
@@ -25,6 +25,8 @@ pub struct Signals {
     pub particle_slip: Vec<f64>,
     /// Variance of the solids fraction \[-\].
     pub solids_fraction_variance: Vec<f64>,
+    /// Mean gas pressure gradient over the weight \[-\]: 1 unless the gas flux is kept.
+    pub pressure_gradient: Vec<f64>,
 }
 
 impl Signals {
@@ -34,6 +36,7 @@ impl Signals {
         self.slip.push(means.slip);
         self.particle_slip.push(means.particle_slip);
         self.solids_fraction_variance.push(means.solids_fraction_variance);
+        self.pressure_gradient.push(means.pressure_gradient);
     }
 
     /// When the box became statistically steady: the latest of what its signals say. The slip
@@ -225,6 +228,9 @@ pub fn simulate_from<R: Real, const D: usize>(
     assert_eq!(domain.size.len(), D, "a case of another dimension");
     let scales = Scales::new(powder, gas, physics.gravity);
     let mut flow = TwoFluid::<R, D>::new(grid, setup(case, solids_fraction, parallel));
+    if let Drive::GasFlux(gas_flux) = physics.drive {
+        flow = flow.with_gas_flux(gas_flux);
+    }
     let slip_bin = filter.markers.contains(&MarkerChoice::Slip).then_some(filter.slip_bin);
     let bins = Bins::new(filter.solids_fraction_bin, powder.max_packing, slip_bin);
     let law = physics.drag.law(gas, powder);

@@ -47,6 +47,8 @@ pub struct BoxSummary {
     pub particle_slip: Measured,
     /// Variance of the solids fraction.
     pub solids_fraction_variance: Measured,
+    /// Mean gas pressure gradient over the weight; 1 unless the gas flux is kept.
+    pub pressure_gradient: Measured,
     /// Longest time for which a gas channel short-circuited the box \[s\].
     pub channel_time: f64,
     /// What it cost.
@@ -88,6 +90,7 @@ impl BoxSummary {
             slip: measure(&signals.slip, u_t),
             particle_slip: measure(&signals.particle_slip, u_t),
             solids_fraction_variance: measure(&signals.solids_fraction_variance, 1.0),
+            pressure_gradient: measure(&signals.pressure_gradient, 1.0),
             channel_time: longest as f64 * interval,
             cost: simulated.cost,
         }
@@ -321,6 +324,17 @@ impl fmt::Display for Summary {
                 found.uniform_slip,
                 interval(found.particle_slip.mean, found.particle_slip.standard_error),
                 if found.steady { format!("{:.2} s", found.start) } else { "never".into() },
+            )?;
+        }
+        // A gradient that balances the weight is no result.
+        for found in self.boxes.iter().filter(|found| found.pressure_gradient.standard_error > 0.0)
+        {
+            let gradient = &found.pressure_gradient;
+            writeln!(
+                f,
+                "  {:<6}  mean pressure gradient over the weight {}",
+                found.solids_fraction,
+                interval(gradient.mean, gradient.standard_error)
             )?;
         }
         writeln!(f)?;
