@@ -41,7 +41,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let weight = (1.0 - mean) * (powder.density - gas.density) * setup.gravity;
         let gradient = self.law.beta_per_fraction(mean, slip) * slip / weight;
         self.gas_flux = Some(GasFlux { wanted, gradient });
-        self.find_gas_speed();
+        self.find_speeds();
         self
     }
 
