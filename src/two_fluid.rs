@@ -2,7 +2,7 @@
 //!
 //! Balances of mass and momentum of both phases and of granular energy (Agrawal et al. 2001; see
 //! [`laws`](crate::laws) for the closures), driven by gravity and a mean gas pressure gradient that
-//! balances the weight. The gas is incompressible.
+//! balances the weight, or keeps the gas flux ([`TwoFluid::with_gas_flux`]). The gas is incompressible.
 //!
 //! Staggered grid: solids fraction φ, granular temperature T and gas pressure p at cell centres,
 //! velocities on faces. A step of [`TwoFluid::step`]:
@@ -22,6 +22,7 @@
 //! two signs.
 
 mod clock;
+mod drive;
 mod exchange;
 mod failure;
 mod fields;
@@ -45,6 +46,7 @@ use crate::real::Real;
 use crate::rows::{Rows, join, per_axis, threads};
 pub use clock::STAGES;
 use clock::{Clock, Stage};
+use drive::GasFlux;
 use exchange::Inertia;
 pub use failure::{Place, StepError};
 use granular::{Contact, ContactRow, DragRow};
@@ -190,6 +192,8 @@ pub struct Means<const D: usize> {
     pub solids_fraction_variance: f64,
     /// Momentum of the mixture per volume, ghost mass included \[kg/m²/s\].
     pub momentum: [f64; D],
+    /// Mean gas pressure gradient, upwards, over the weight of the mixture \[-\].
+    pub pressure_gradient: f64,
 }
 
 /// The kinetic-theory two-fluid model, in a periodic box of `D` dimensions.
@@ -211,6 +215,8 @@ pub struct TwoFluid<R, const D: usize> {
     clock: Option<Clock>,
     /// [`TOLERANCE`], or what [`TwoFluid::with_tolerance`] set.
     tolerance: f64,
+    /// What [`TwoFluid::with_gas_flux`] asked to keep.
+    gas_flux: Option<GasFlux>,
     /// What [`TwoFluid::set_sources`] set.
     sources: Option<Sources<R, D>>,
 
@@ -302,6 +308,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             gas_speed: slip / grid.spacing[D - 1],
             clock: None,
             tolerance: TOLERANCE,
+            gas_flux: None,
             sources: None,
             phi,
             theta,
@@ -373,7 +380,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             pressure: &self.pressure,
             solids: &self.solids,
             gas: &self.gas,
-            buoyancy: self.buoyancy,
+            buoyancy: self.driven(),
             dt: R::of(dt),
             gas_steps,
             transports_heat: self.setup.terms.granular_energy == GranularEnergyChoice::Transport,
@@ -428,6 +435,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             });
         }
         rows.each([&mut self.pressure], |row, [p]| exchange::add_row(p, increment.row(row)));
+
+        self.keep_gas_flux(dt);
 
         // The last step ends there to the bit, whatever the sum of the steps rounds to.
         self.time = if left == 1.0 { until } else { self.time + dt };
@@ -585,6 +594,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             solids_fraction: mean,
             solids_fraction_variance: (square / cells - mean * mean).max(0.0),
             momentum,
+            pressure_gradient: self.pressure_gradient(),
         }
     }
 }
