@@ -228,12 +228,7 @@ fn pass_text(quantity: &Quantity) -> io::Result<()> {
             (false, Some(at)) => at + 1,
             (false, None) => continue,
         };
-        for line in text[..end].split(|byte| *byte == b'\n') {
-            line_number += 1;
-            read_point(line, line_number, quantity, &mut columns)?;
-        }
-        // The piece after the last break is empty and no line.
-        line_number -= usize::from(!ended);
+        read_points(&text[..end], &mut line_number, quantity, &mut columns)?;
         text.drain(..end);
         if !columns[0].is_empty() {
             batch(quantity, &mut columns, &mut values);
@@ -248,34 +243,49 @@ fn pass_text(quantity: &Quantity) -> io::Result<()> {
     stdout.flush()
 }
 
-/// Adds the point of one line; a blank line has none.
-fn read_point(
-    line: &[u8],
-    number: usize,
+/// Adds the points of whole lines; a blank line has none. `number` counts the lines before.
+fn read_points(
+    text: &[u8],
+    number: &mut usize,
     quantity: &Quantity,
     columns: &mut [Vec<f64>],
 ) -> io::Result<()> {
-    let bad = |why: String| {
+    let bad = |number: usize, why: String| {
         io::Error::new(io::ErrorKind::InvalidData, format!("standard input, line {number}: {why}"))
     };
-    let mut found = 0;
-    for part in line.split(|byte| b", \t\r".contains(byte)).filter(|part| !part.is_empty()) {
-        let value = number_of(part).ok_or_else(|| {
-            bad(format!("\"{}\" is no finite number", String::from_utf8_lossy(part)))
-        })?;
-        if let Some(column) = columns.get_mut(found) {
-            column.push(value);
+    let (mut at, mut found) = (0, 0);
+    loop {
+        let byte = text.get(at).copied();
+        match byte {
+            Some(b' ' | b',' | b'\t' | b'\r') => at += 1,
+            None | Some(b'\n') => {
+                *number += usize::from(byte.is_some() || found > 0);
+                if found != 0 && found != columns.len() {
+                    let markers: Vec<String> = quantity.markers().map(|m| m.to_string()).collect();
+                    let markers = markers.join(", ");
+                    let why = format!("{found} numbers, and the markers are {markers}");
+                    return Err(bad(*number, why));
+                }
+                if byte.is_none() {
+                    return Ok(());
+                }
+                found = 0;
+                at += 1;
+            }
+            Some(_) => {
+                let (value, len) = number_of(&text[at..]);
+                let Some(value) = value else {
+                    let part = String::from_utf8_lossy(&text[at..at + len]).into_owned();
+                    return Err(bad(*number + 1, format!("\"{part}\" is no finite number")));
+                };
+                if let Some(column) = columns.get_mut(found) {
+                    column.push(value);
+                }
+                found += 1;
+                at += len;
+            }
         }
-        found += 1;
     }
-    if found == 0 {
-        return Ok(());
-    }
-    if found == columns.len() {
-        return Ok(());
-    }
-    let markers: Vec<String> = quantity.markers().map(|marker| marker.to_string()).collect();
-    Err(bad(format!("{found} numbers, and the markers are {}", markers.join(", "))))
 }
 
 /// Powers of ten that are doubles exactly.
@@ -284,26 +294,31 @@ const TENS: [f64; 23] = [
     1e17, 1e18, 1e19, 1e20, 1e21, 1e22,
 ];
 
-/// The double nearest to a decimal number; none if it is no finite number.
-fn number_of(text: &[u8]) -> Option<f64> {
+/// The double nearest to the decimal number that `text` begins with, none if that is no finite number,
+/// and how long it is.
+fn number_of(text: &[u8]) -> (Option<f64>, usize) {
+    let ends = |byte: &u8| matches!(byte, b' ' | b',' | b'\t' | b'\r' | b'\n');
     // Up to 15 digits, and a power of ten that is exact: one division rounds once.
-    let (mut digits, mut count, mut behind) = (0u64, 0, None);
-    for byte in text {
+    let (mut digits, mut count, mut behind, mut len) = (0u64, 0, 0, 0);
+    let mut point = false;
+    while let Some(byte) = text.get(len) {
         match byte {
-            b'0'..=b'9' => {
+            b'0'..=b'9' if count < 15 => {
                 digits = 10 * digits + u64::from(byte - b'0');
                 count += 1;
-                behind = behind.map(|places| places + 1);
+                behind += usize::from(point);
             }
-            b'.' if behind.is_none() => behind = Some(0),
-            _ => count = 16,
+            b'.' if !point => point = true,
+            _ => break,
         }
-        if count > 15 {
-            let number = std::str::from_utf8(text).ok()?.parse::<f64>().ok()?;
-            return number.is_finite().then_some(number);
-        }
+        len += 1;
     }
-    (count > 0).then(|| digits as f64 / TENS[behind.unwrap_or(0)])
+    if count > 0 && text.get(len).is_none_or(ends) {
+        return (Some(digits as f64 / TENS[behind]), len);
+    }
+    let len = text.iter().position(|byte| ends(byte)).unwrap_or(text.len());
+    let number = std::str::from_utf8(&text[..len]).ok().and_then(|text| text.parse::<f64>().ok());
+    (number.filter(|number| number.is_finite()), len)
 }
 
 fn comparison(args: &cli::Compare) -> Result<(), Failure> {
@@ -357,13 +372,14 @@ mod tests {
     #[test]
     fn numbers_are_read_to_the_last_bit() {
         for text in ["0.15", "16.448", "1", ".5", "3.", "0.000123456789012", "123456789012345"] {
-            assert_eq!(number_of(text.as_bytes()), text.parse().ok(), "{text}");
+            assert_eq!(number_of(text.as_bytes()), (text.parse().ok(), text.len()), "{text}");
         }
         for text in ["-0.25", "1e-3", "2.5E+2", "0.1234567890123456789", "00000000000000000.5"] {
-            assert_eq!(number_of(text.as_bytes()), text.parse().ok(), "{text}");
+            assert_eq!(number_of(text.as_bytes()), (text.parse().ok(), text.len()), "{text}");
         }
+        assert_eq!(number_of(b"0.25,1"), (Some(0.25), 4));
         for text in ["", ".", "1.2.3", "nan", "inf", "abc", "1e999", "--1"] {
-            assert_eq!(number_of(text.as_bytes()), None, "{text}");
+            assert_eq!(number_of(text.as_bytes()), (None, text.len()), "{text}");
         }
     }
 }
