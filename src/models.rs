@@ -316,7 +316,7 @@ fn number_of(text: &[u8]) -> (Option<f64>, usize) {
     if count > 0 && text.get(len).is_none_or(ends) {
         return (Some(digits as f64 / TENS[behind]), len);
     }
-    let len = text.iter().position(|byte| ends(byte)).unwrap_or(text.len());
+    let len = text.iter().position(ends).unwrap_or(text.len());
     let number = std::str::from_utf8(&text[..len]).ok().and_then(|text| text.parse::<f64>().ok());
     (number.filter(|number| number.is_finite()), len)
 }
