@@ -322,7 +322,11 @@ fn number_of(text: &[u8]) -> (Option<f64>, usize) {
 }
 
 fn comparison(args: &cli::Compare) -> Result<(), Failure> {
-    let closures = args.names.iter().map(|name| find(name)).collect::<Result<Vec<_>, _>>()?;
+    let mut closures = args.names.iter().map(|name| find(name)).collect::<Result<Vec<_>, _>>()?;
+    // As they were named: the models of two runs of one case have the same name.
+    for (closure, name) in closures.iter_mut().zip(&args.names) {
+        closure.file.name.clone_from(name);
+    }
     let bins = args.bins.as_deref().map(read_bins).transpose().map_err(Failure::misuse)?;
     if let Some(width) = args.filter.iter().find(|width| !(**width > 0.0 && width.is_finite())) {
         return Err(Failure::misuse(format!("--filter {width}: a positive number is needed")));

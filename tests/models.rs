@@ -117,6 +117,14 @@ fn closures_are_compared_in_tables_figures_and_scores() {
     assert!(dir.path().join("beside/comparison_1.png").is_file());
     let csv = fs::read_to_string(dir.path().join("beside/comparison.csv")).unwrap();
     assert!(csv.starts_with("filter_width/L_I [-],solids_fraction [-],default,igci"));
+    // A closure from a file goes by the name it was called by.
+    fs::write(dir.path().join("mine.toml"), BUILT_IN[1].1).unwrap();
+    let table =
+        done(&favre(dir.path(), &["compare", "mine.toml", BUILT_IN[1].0, "--out", "both"], b""));
+    assert!(
+        table.contains("\nmine.toml") && table.contains("\nigci-sundaresan-2011-2d"),
+        "{table}"
+    );
     let odd = refused(&favre(dir.path(), &["compare", "default", "cloete-2018"], b""));
     assert!(odd.contains("cloete-2018 does not predict drag_correction"), "{odd}");
 }
