@@ -77,6 +77,9 @@ const MOST_GAS_STEPS: usize = 4;
 /// on the norm that [`TwoFluid::step`] uses.
 const SOUND_COURANT: f64 = 0.9;
 
+/// Solids fraction above the densest packing that no step is to fill a cell beyond.
+const PACKED: f64 = 0.01;
+
 /// Largest viscosity and conductivity per mass, times dt and Σ 1/h², at which an explicit step is
 /// stable and loses kinetic energy. Limits the step, and in nearly empty cells, whose mean free path
 /// would stop every step, the diffusivities themselves.
@@ -109,6 +112,8 @@ struct Medium<R> {
     drag: Box<dyn DragRow<R>>,
     solids_density: R,
     gas_density: R,
+    /// φ_max + [`PACKED`].
+    packed: R,
 }
 
 impl<R: Real> Medium<R> {
@@ -119,6 +124,7 @@ impl<R: Real> Medium<R> {
             contact: contact_rows(setup),
             drag: drag_rows(setup),
             solids_density: R::of(powder.density),
+            packed: R::of(powder.max_packing + PACKED),
             gas_density: R::of(gas.density),
         }
     }

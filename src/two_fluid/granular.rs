@@ -1,6 +1,6 @@
 //! Closures of the solids' stress at cell centres, and the balance of granular energy.
 
-use super::{GHOST, Medium};
+use super::{GHOST, Medium, PACKED};
 use crate::laws::drag::DragLaw;
 use crate::laws::friction::Friction;
 use crate::laws::kinetic_theory::{
@@ -418,6 +418,8 @@ pub(super) struct Balanced<'a, R> {
     pub(super) divergence: &'a [R],
     pub(super) viscosity: &'a [R],
     pub(super) solids_density: R,
+    /// Solids fraction that no step is to fill a cell beyond \[-\].
+    pub(super) packed: R,
     /// 1/Σ 1/h² \[m²\].
     pub(super) cell_squared: R,
     pub(super) dt: R,
@@ -482,8 +484,12 @@ simd! {
             let slope = radial.slope(phi[i], g0[i]);
             // Dissipation is implicit, so of the heat of compression a step keeps only this.
             let adiabatic = R::ONE / (R::ONE + dt * (collisional * speed + two_thirds * damping));
-            sound[i] = theory.sound_speed_squared(phi[i], g0[i], slope, warm, adiabatic)
+            let sound_squared = theory.sound_speed_squared(phi[i], g0[i], slope, warm, adiabatic)
                 + stiffness;
+            // A step of this sound does not fill the cell: it is hit faster than its own sound.
+            let room = (cells.packed - phi[i]).max(R::of(0.1 * PACKED));
+            let filling = side * phi[i] * (-divergence[i]).max(R::ZERO) / room;
+            sound[i] = sound_squared.max(R::of(3.0) * filling * filling);
         }
     }
 }
