@@ -6,7 +6,7 @@
 //! same but `[run] duration`, which may be any that has not been passed yet: so a run can be
 //! prolonged. Once the run has its folder, the checkpoint is removed.
 //!
-//! # Format, version 2
+//! # Format, version 3
 //!
 //! Numbers, texts and lists as in all binary files of this program: little-endian, lengths u64.
 //! `Signals` and `Cost` are their fields in the order in which they are declared.
@@ -43,7 +43,7 @@ use std::time::{Duration, Instant};
 const MAGIC: &[u8; 8] = b"favrebox";
 
 /// Version of the format.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 
 /// Version of the program: another one may compute other bits.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -790,8 +790,8 @@ mod tests {
             fs::write(file(&base), signed(bytes)).unwrap();
             resume(&base, &case).unwrap_err()
         };
-        let refused = edited(8, 3);
-        assert!(matches!(refused, CheckpointError::Format { found: 3, .. }), "{refused:?}");
+        let refused = edited(8, 1);
+        assert!(matches!(refused, CheckpointError::Format { found: 1, .. }), "{refused:?}");
         let refused = edited(20, b'x');
         let CheckpointError::Version { found, .. } = refused else { panic!("{refused:?}") };
         assert_eq!(found, format!("x{}", &VERSION[1..]));

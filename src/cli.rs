@@ -163,6 +163,10 @@ pub struct Filter {
     /// Take statistics of fields from this time on [s]
     #[arg(long, value_name = "T", allow_hyphen_values = true)]
     pub from: Option<f64>,
+    /// Order at which values approach those on infinitely fine cells, for runs on several grids
+    /// [default: the one that three grids or more show, else 1]
+    #[arg(long, value_name = "P", allow_hyphen_values = true, value_parser = order)]
+    pub grid_order: Option<f64>,
     /// Folder for the results [default: favre-out/filter, of runs favre-out/pool]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -196,6 +200,11 @@ pub struct Stability {
     /// Print growth rates and needs as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+fn order(text: &str) -> Result<f64, String> {
+    let order = text.parse().ok().filter(|order| (0.1..=10.0).contains(order));
+    order.ok_or_else(|| "a number from 0.1 to 10 is accepted".to_owned())
 }
 
 /// Longest time between checkpoints [minutes]: a year.

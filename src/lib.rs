@@ -19,6 +19,7 @@ pub mod fine;
 pub mod lanes;
 
 pub mod blocking;
+pub mod extrapolation;
 pub mod filter;
 pub mod filtered;
 pub mod moments;

@@ -2,7 +2,7 @@
 //!
 //! Every run leaves its sums in `sums.favre`: for each box those of its steady part.
 //!
-//! # Format of [`SumsFile`], version 1
+//! # Format of [`SumsFile`], version 2
 //!
 //! Numbers are little-endian; a list is its length (u64) and its elements; a text is its length and
 //! UTF-8.
@@ -25,6 +25,7 @@
 //! | simulated dimensions | u64 |
 //! | ρ_s, ρ_g \[kg/m³\] | f64, f64 |
 //! | number of the [`Kernel`] | u64 |
+//! | edge of a cell along each axis \[m\] | list of f64 |
 //! | filter widths \[m\] | list of f64 |
 //! | axes of the bins: number of the [`Marker`], quantiles or 0, edges | list of u64, u64 and list of f64 |
 //! | duration of a block \[s\] | f64 |
@@ -47,7 +48,7 @@ use std::path::{Path, PathBuf};
 const MAGIC: &[u8; 8] = b"favresum";
 
 /// Version of the format.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// Name of the file of sums in the folder of a run.
 pub const SUMS_FILE: &str = "sums.favre";
@@ -196,10 +197,12 @@ impl SumsFile {
 
 /// Writes sums.
 pub(crate) fn put_sums(to: &mut dyn Write, sums: &Sums) -> io::Result<()> {
-    let Layout { dimension, densities, kernel, widths, bins, block_duration, space } = &sums.layout;
+    let Layout { dimension, densities, kernel, spacing, widths, bins, block_duration, space } =
+        &sums.layout;
     put(to, *dimension as u64)?;
     densities.iter().try_for_each(|density| put(to, *density))?;
     put(to, *kernel as u64)?;
+    put_list(to, spacing)?;
     put_list(to, widths)?;
     put(to, bins.axes.len() as u64)?;
     for Axis { marker, edges, quantiles } in &bins.axes {
@@ -233,6 +236,10 @@ pub(crate) fn take_sums(from: &mut Source) -> Result<Sums, Fault> {
     let number = take::<u64>(from)?;
     let kernel = usize::try_from(number).ok().and_then(|n| Kernel::ALL.get(n)).copied();
     let kernel = kernel.ok_or_else(|| Fault::damaged("it has an unknown filter kernel"))?;
+    let spacing = take_list(from)?;
+    if spacing.len() != dimension || spacing.iter().any(|edge| !(edge.is_finite() && *edge > 0.0)) {
+        return Err(Fault::damaged("its cells have no edges"));
+    }
     let widths = take_list(from)?;
     let axes = (0..from.len(24)?)
         .map(|_| {
@@ -282,7 +289,16 @@ pub(crate) fn take_sums(from: &mut Source) -> Result<Sums, Fault> {
         })
         .collect::<Result<_, Fault>>()?;
     Ok(Sums {
-        layout: Layout { dimension, densities, kernel, widths, bins, block_duration, space },
+        layout: Layout {
+            dimension,
+            densities,
+            kernel,
+            spacing,
+            widths,
+            bins,
+            block_duration,
+            space,
+        },
         blocks,
     })
 }

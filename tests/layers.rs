@@ -28,7 +28,8 @@ const ALLOWED: &[(&str, &str)] = &[
     ("resolved", "case fine stored"),
     ("binary", ""),
     ("sums", "binary filtered laws spectral statistics"),
-    ("pool", "laws statistics sums table"),
+    ("extrapolation", ""),
+    ("pool", "extrapolation laws statistics sums table"),
     ("simulate", "case filter fine grid laws real series spectral statistics stored two_fluid"),
     ("stability", "case laws"),
     ("table", ""),
@@ -47,7 +48,7 @@ const ALLOWED: &[(&str, &str)] = &[
     ),
     (
         "bench",
-        "blocking case filter filtered fine grid laws real rows series simulate statistics two_fluid",
+        "blocking case extrapolation filter filtered fine grid laws real rows series simulate statistics two_fluid",
     ),
     ("hard", "case grid laws real two_fluid"),
     ("verify", "case field grid laws poisson real stability two_fluid"),
