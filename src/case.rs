@@ -23,6 +23,8 @@
 //! | | `granular_energy` | how the granular temperature is found | `"transport"`, `"algebraic"` | `"transport"` |
 //! | | `gas_inertia` | whether the gas carries momentum along, as in [`Terms`] | `true`, `false` | `true` |
 //! | | `gas_stress` | whether the gas's viscosity acts between cells, as in [`Terms`] | `true`, `false` | `false` |
+//! | | `drive` | what carries the weight: a mean gas pressure gradient that balances it, or one that keeps the gas flux, as in [`Drive`] | `"pressure-gradient"`, `"gas-flux"` | `"pressure-gradient"` |
+//! | | `gas_flux` | with `"gas-flux"`: superficial gas velocity relative to the solids | 0.001 u_t to 1000 u_t | that of the uniform state |
 //! | | `gravity` | g [m/s²] | 1e-3 to 1e4 | 9.81 |
 //! | `[filter]` | `widths` | edges of the box filters | whole cells along every axis, from 2 cells to half the box | 4, 8, 16 and 32 cells as far as they fit |
 //! | | `kernel` | the filter's kernel | `"box"`, `"gaussian"`, `"diffusion"`, `"sharp"` | `"box"` |
@@ -104,8 +106,29 @@ pub struct Physics {
     pub friction: FrictionChoice,
     /// What of the equations is modelled.
     pub terms: Terms,
+    /// `drive` and `gas_flux`: what carries the weight.
+    pub drive: Drive,
     /// `gravity` [m/s²], a positive number.
     pub gravity: f64,
+}
+
+/// What carries the weight. The mixture as a whole is at rest: a gradient that does not balance its
+/// weight accelerates the frame of reference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Drive {
+    /// A mean gas pressure gradient that balances the weight.
+    PressureGradient,
+    /// The mean gas pressure gradient that keeps the superficial gas velocity relative to the mean
+    /// solids velocity, ⟨(1-φ) u_g⟩ - ⟨1-φ⟩ ⟨φ u_s⟩/⟨φ⟩ \[m/s\]; none for that of the uniform state.
+    GasFlux(Option<f64>),
+}
+
+/// The names of [`Drive`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+enum DriveChoice {
+    PressureGradient,
+    GasFlux,
 }
 
 /// Terms of the equations that a case may leave out. What is left out costs nothing.
@@ -628,6 +651,12 @@ impl Case {
     /// The case as a case file with every key, in SI; [`Case::parse`] reads an equal case from it.
     pub fn to_toml(&self) -> String {
         let Self { name: _, powder, gas, domain, physics, filter, run, output } = self;
+        // No number stands for the flux of the uniform state, which is each box's own.
+        let (drive, gas_flux) = match physics.drive {
+            Drive::PressureGradient => (DriveChoice::PressureGradient, String::new()),
+            Drive::GasFlux(None) => (DriveChoice::GasFlux, String::new()),
+            Drive::GasFlux(Some(flux)) => (DriveChoice::GasFlux, format!("gas_flux = {flux:?}\n")),
+        };
         format!(
             "[powder]\n\
              diameter = {:?}\n\
@@ -648,7 +677,8 @@ impl Case {
              granular_energy = {}\n\
              gas_inertia = {}\n\
              gas_stress = {}\n\
-             gravity = {:?}\n\
+             drive = {}\n\
+             {}gravity = {:?}\n\
              \n[filter]\n\
              widths = {:?}\n\
              kernel = {}\n\
@@ -680,6 +710,8 @@ impl Case {
             quoted(&physics.terms.granular_energy),
             physics.terms.gas_inertia,
             physics.terms.gas_stress,
+            quoted(&drive),
+            gas_flux,
             physics.gravity,
             filter.widths,
             quoted(&filter.kernel),
@@ -723,7 +755,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// A case with every key but `cell`, at its default where it has one.
+    /// A case with every key but `cell` and `gas_flux`, at its default where it has one.
     const TEXT: &str = r#"[powder]
 diameter = 75e-6
 density = 1500.0
@@ -743,6 +775,7 @@ friction = "barrier"
 granular_energy = "transport"
 gas_inertia = true
 gas_stress = false
+drive = "pressure-gradient"
 gravity = 9.81
 [filter]
 widths = [0.005, 0.01, 0.02, 0.04]
@@ -802,8 +835,9 @@ precision = "f64"
     fn the_default_case_names_every_key_but_the_alternative_one() {
         for (section, keys) in file::SECTIONS {
             assert!(DEFAULT.contains(&format!("[{section}]")));
-            // Of edges it shows how.
-            let named = |key: &&&str| **key != "cell" && !key.ends_with("_edges");
+            // Of edges it shows how; the flux of the uniform state has no number.
+            let named =
+                |key: &&&str| !["cell", "gas_flux"].contains(*key) && !key.ends_with("_edges");
             for key in keys.iter().filter(named) {
                 assert!(DEFAULT.contains(&format!("\n{key} = ")), "{key}");
             }
@@ -995,6 +1029,28 @@ precision = "f64"
             assert_eq!(refused.why, "true or false is expected, not text: remove the quotes");
             assert!(problem(&line, &format!("{key} = 0")).why.ends_with("not a number"));
         }
+    }
+
+    #[test]
+    fn a_gas_flux_is_kept_only_if_asked_for() {
+        let line = "drive = \"pressure-gradient\"";
+        let kept = |flux: &str| text_with(line, &format!("drive = \"gas-flux\"{flux}"));
+        for (typed, flux) in [("", None), ("\ngas_flux = 0.3", Some(0.3))] {
+            let case = kept(typed).unwrap();
+            assert_eq!(case.physics.drive, Drive::GasFlux(flux));
+            assert_eq!(Case::parse(&case.to_toml(), "test").unwrap(), case);
+        }
+        let case = kept("\ngas_flux = \"2 u_t\"").unwrap();
+        assert_eq!(case.physics.drive, Drive::GasFlux(Some(2.0 * case.scales().terminal_velocity)));
+        let alone = problem(line, "gas_flux = 0.3");
+        assert_eq!((alone.line, alone.key.as_str()), (Some(20), "[physics] gas_flux"));
+        assert!(alone.why.contains("drive = \"gas-flux\""), "{}", alone.why);
+        for flux in ["0", "-0.3", "1e9", "\"2000 u_t\""] {
+            let refused = problem(line, &format!("drive = \"gas-flux\"\ngas_flux = {flux}"));
+            assert!(refused.why.contains("from 0.001 u_t to 1000 u_t"), "{}", refused.why);
+        }
+        let refused = problem(line, "drive = \"gas\"");
+        assert!(refused.why.contains("\"pressure-gradient\""), "{}", refused.why);
     }
 
     #[test]

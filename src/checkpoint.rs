@@ -21,7 +21,7 @@
 //! | whether the run is to replace an earlier one (`--force`) | u8, 0 or 1 |
 //! | seconds of the wall clock that the run has taken so far | f64 |
 //! | simulated time \[s\] | f64 |
-//! | [`Signals`] | four lists of f64 |
+//! | [`Signals`] | five lists of f64 |
 //! | [`Cost`] | u64 and f64 |
 //! | [`Sums`](crate::statistics::Sums) | as in [`sums`](crate::sums) |
 //! | the state of the flow ([`TwoFluid::save_state`](crate::two_fluid::TwoFluid::save_state)) | the rest |
@@ -463,8 +463,9 @@ fn at(fault: Fault, path: &Path) -> CheckpointError {
 }
 
 fn put_signals(to: &mut dyn Write, signals: &Signals) -> io::Result<()> {
-    let Signals { time, slip, particle_slip, solids_fraction_variance } = signals;
-    [time, slip, particle_slip, solids_fraction_variance]
+    let Signals { time, slip, particle_slip, solids_fraction_variance, pressure_gradient } =
+        signals;
+    [time, slip, particle_slip, solids_fraction_variance, pressure_gradient]
         .into_iter()
         .try_for_each(|signal| put_list(to, signal))
 }
@@ -475,10 +476,13 @@ fn take_signals(from: &mut Source) -> Result<Signals, Fault> {
         slip: take_list(from)?,
         particle_slip: take_list(from)?,
         solids_fraction_variance: take_list(from)?,
+        pressure_gradient: take_list(from)?,
     };
-    let Signals { time, slip, particle_slip, solids_fraction_variance } = &signals;
-    let equal =
-        [slip, particle_slip, solids_fraction_variance].iter().all(|s| s.len() == time.len());
+    let Signals { time, slip, particle_slip, solids_fraction_variance, pressure_gradient } =
+        &signals;
+    let equal = [slip, particle_slip, solids_fraction_variance, pressure_gradient]
+        .iter()
+        .all(|s| s.len() == time.len());
     if equal { Ok(signals) } else { Err(Fault::damaged("its signals differ in length")) }
 }
 

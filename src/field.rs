@@ -339,7 +339,12 @@ impl<R: Real, const D: usize> Slabs<'_, R, D> {
 /// The last few slabs of a field that a sweep along the last axis leaves behind; slabs beyond the
 /// boundary have a place of their own.
 #[derive(Debug)]
-pub(crate) struct Ring<R, const D: usize>(Field<R, D>);
+pub(crate) struct Ring<R, const D: usize> {
+    field: Field<R, D>,
+    /// Which slab each place holds: tests see to it that none is looked at that is gone.
+    #[cfg(test)]
+    held: Vec<Option<isize>>,
+}
 
 impl<R: Real, const D: usize> Ring<R, D> {
     /// A ring of `slabs` slabs, a power of two, of the rows of `layout`.
@@ -347,13 +352,26 @@ impl<R: Real, const D: usize> Ring<R, D> {
         assert!(slabs.is_power_of_two(), "a ring of {slabs} slabs");
         let mut cells = layout.cells;
         cells[D - 1] = slabs;
-        Self(Field::zeros(Layout::new(cells)))
+        Self {
+            field: Field::zeros(Layout::new(cells)),
+            #[cfg(test)]
+            held: vec![None; slabs],
+        }
     }
 
     /// A row and its halo, to be written.
     #[inline(always)]
     pub(crate) fn line(&mut self, row: Row<D>) -> &mut [R] {
-        let Field { layout, data, origin } = &mut self.0;
+        #[cfg(test)]
+        {
+            let place = row.slab() as usize % self.held.len();
+            if self.held[place] > Some(row.slab()) {
+                // Another sweep begins.
+                self.held.fill(None);
+            }
+            self.held[place] = Some(row.slab());
+        }
+        let Field { layout, data, origin } = &mut self.field;
         let at = *origin + layout.offset_in_ring(row);
         &mut data[Layout::<D>::with_halo(at, layout.extent(row))]
     }
@@ -361,15 +379,28 @@ impl<R: Real, const D: usize> Ring<R, D> {
     /// As [`Field::row`].
     #[inline(always)]
     pub(crate) fn row(&self, row: Row<D>) -> &[R] {
-        let at = self.0.origin + self.0.layout.offset_in_ring(row);
-        &self.0.data[at..at + self.0.layout.extent(row)]
+        let at = self.at(row);
+        &self.field.data[at..at + self.field.layout.extent(row)]
     }
 
     /// A row and its halo.
     #[inline(always)]
     pub(crate) fn whole(&self, row: Row<D>) -> &[R] {
-        let at = self.0.origin + self.0.layout.offset_in_ring(row);
-        &self.0.data[Layout::<D>::with_halo(at, self.0.layout.extent(row))]
+        let at = self.at(row);
+        &self.field.data[Layout::<D>::with_halo(at, self.field.layout.extent(row))]
+    }
+
+    /// Where a row begins.
+    #[inline(always)]
+    fn at(&self, row: Row<D>) -> usize {
+        #[cfg(test)]
+        assert!(
+            self.held[row.slab() as usize % self.held.len()] <= Some(row.slab()),
+            "slab {} of a ring is written over: {:?}",
+            row.slab(),
+            self.held
+        );
+        self.field.origin + self.field.layout.offset_in_ring(row)
     }
 }
 

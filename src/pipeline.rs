@@ -445,6 +445,7 @@ fn write_signals(boxes: &[(Simulated, BoxSummary)], writer: impl Write) -> csv::
         "slip [m/s]",
         "particle_slip [m/s]",
         "solids_fraction_variance [-]",
+        "pressure_gradient [weight]",
     ])?;
     for (simulated, _) in boxes {
         let signals = &simulated.signals;
@@ -455,6 +456,7 @@ fn write_signals(boxes: &[(Simulated, BoxSummary)], writer: impl Write) -> csv::
                 signals.slip[n],
                 signals.particle_slip[n],
                 signals.solids_fraction_variance[n],
+                signals.pressure_gradient[n],
             ))?;
         }
     }

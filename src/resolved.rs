@@ -248,7 +248,7 @@ pub struct Piece {
     /// The text of the case that made it, if Favre did.
     pub case: Option<String>,
     /// Means of the box at this instant and at its start, if Favre wrote them.
-    pub signals: Option<[[f64; 3]; 2]>,
+    pub signals: Option<[[f64; 4]; 2]>,
     /// Particles instead of cells: each column of `arrays` has one entry per particle.
     pub particles: bool,
 }
@@ -307,7 +307,7 @@ pub struct Resolved {
     pub case: Option<String>,
     /// Mean slip, slip seen by the particles and variance of φ at this instant and at the start of
     /// the simulation, if Favre wrote them.
-    pub signals: Option<[[f64; 3]; 2]>,
+    pub signals: Option<[[f64; 4]; 2]>,
 }
 
 impl Resolved {

@@ -1,6 +1,6 @@
 //! [`simulate`]: one box from its start to its end, sampled in flight.
 
-use crate::case::{Case, EdgesChoice, FilterCase, KernelChoice, MarkerChoice};
+use crate::case::{Case, Drive, EdgesChoice, FilterCase, KernelChoice, MarkerChoice};
 use crate::filter::FilterError;
 use crate::fine::FineFields;
 use crate::grid::Grid;
@@ -30,26 +30,33 @@ pub struct Signals {
     pub particle_slip: Vec<f64>,
     /// Variance of the solids fraction \[-\].
     pub solids_fraction_variance: Vec<f64>,
+    /// Mean gas pressure gradient over the weight \[-\]: 1 unless the gas flux is kept.
+    pub pressure_gradient: Vec<f64>,
 }
 
 impl Signals {
     /// Adds the `means` at `time` \[s\].
     pub fn push<const D: usize>(&mut self, time: f64, means: &Means<D>) {
         let variance = means.solids_fraction_variance;
-        self.push_values(time, [means.slip, means.particle_slip, variance]);
+        let values = [means.slip, means.particle_slip, variance, means.pressure_gradient];
+        self.push_values(time, values);
     }
 
-    /// Adds mean slip, slip seen by the particles and variance of φ at `time` \[s\].
-    pub fn push_values(&mut self, time: f64, [slip, particle_slip, variance]: [f64; 3]) {
+    /// Adds mean slip, slip seen by the particles, variance of φ and pressure gradient at `time`
+    /// \[s\].
+    pub fn push_values(&mut self, time: f64, values: [f64; 4]) {
         self.time.push(time);
+        let [slip, particle_slip, variance, pressure_gradient] = values;
         self.slip.push(slip);
         self.particle_slip.push(particle_slip);
         self.solids_fraction_variance.push(variance);
+        self.pressure_gradient.push(pressure_gradient);
     }
 
     /// The values of sample `n` in this order.
-    pub fn values(&self, n: usize) -> [f64; 3] {
-        [self.slip[n], self.particle_slip[n], self.solids_fraction_variance[n]]
+    pub fn values(&self, n: usize) -> [f64; 4] {
+        [&self.slip, &self.particle_slip, &self.solids_fraction_variance, &self.pressure_gradient]
+            .map(|signal| signal[n])
     }
 
     /// The time from which on the statistics are taken \[s\], and what the signals say: of a box that
@@ -336,6 +343,9 @@ pub fn simulate_from<R: Real, const D: usize>(
     assert_eq!(domain.size.len(), D, "a case of another dimension");
     let scales = Scales::new(powder, gas, physics.gravity);
     let mut flow = TwoFluid::<R, D>::new(grid, setup(case, solids_fraction, parallel));
+    if let Drive::GasFlux(gas_flux) = physics.drive {
+        flow = flow.with_gas_flux(gas_flux);
+    }
     let law = physics.drag.law(gas, powder);
     let sampling = sampling(case, parallel);
     let mut sampler = Sampler::new(grid, law, sampling)?;

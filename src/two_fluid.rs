@@ -2,7 +2,7 @@
 //!
 //! Balances of mass and momentum of both phases and of granular energy (Agrawal et al. 2001; see
 //! [`laws`](crate::laws) for the closures), driven by gravity and a mean gas pressure gradient that
-//! balances the weight. The gas is incompressible.
+//! balances the weight, or keeps the gas flux ([`TwoFluid::with_gas_flux`]). The gas is incompressible.
 //!
 //! Staggered grid: solids fraction φ, granular temperature T and gas pressure p at cell centres,
 //! velocities on faces. A step of [`TwoFluid::step`]:
@@ -22,6 +22,7 @@
 //! two signs.
 
 mod clock;
+mod drive;
 mod exchange;
 mod failure;
 mod fields;
@@ -45,6 +46,7 @@ use crate::real::Real;
 use crate::rows::{Rows, join, per_axis, threads};
 pub use clock::STAGES;
 use clock::{Clock, Stage};
+use drive::GasFlux;
 use exchange::Inertia;
 pub use failure::{Place, StepError};
 use granular::{Contact, ContactRow, DragRow};
@@ -190,6 +192,8 @@ pub struct Means<const D: usize> {
     pub solids_fraction_variance: f64,
     /// Momentum of the mixture per volume, ghost mass included \[kg/m²/s\].
     pub momentum: [f64; D],
+    /// Mean gas pressure gradient, upwards, over the weight of the mixture \[-\].
+    pub pressure_gradient: f64,
 }
 
 /// The kinetic-theory two-fluid model, in a periodic box of `D` dimensions.
@@ -211,6 +215,8 @@ pub struct TwoFluid<R, const D: usize> {
     clock: Option<Clock>,
     /// [`TOLERANCE`], or what [`TwoFluid::with_tolerance`] set.
     tolerance: f64,
+    /// What [`TwoFluid::with_gas_flux`] asked to keep.
+    gas_flux: Option<GasFlux>,
     /// What [`TwoFluid::set_sources`] set.
     sources: Option<Sources<R, D>>,
 
@@ -302,6 +308,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             gas_speed: slip / grid.spacing[D - 1],
             clock: None,
             tolerance: TOLERANCE,
+            gas_flux: None,
             sources: None,
             phi,
             theta,
@@ -373,7 +380,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             pressure: &self.pressure,
             solids: &self.solids,
             gas: &self.gas,
-            buoyancy: self.buoyancy,
+            buoyancy: self.driven(),
             dt: R::of(dt),
             gas_steps,
             transports_heat: self.setup.terms.granular_energy == GranularEnergyChoice::Transport,
@@ -428,6 +435,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             });
         }
         rows.each([&mut self.pressure], |row, [p]| exchange::add_row(p, increment.row(row)));
+
+        self.keep_gas_flux(dt);
 
         // The last step ends there to the bit, whatever the sum of the steps rounds to.
         self.time = if left == 1.0 { until } else { self.time + dt };
@@ -585,6 +594,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             solids_fraction: mean,
             solids_fraction_variance: (square / cells - mean * mean).max(0.0),
             momentum,
+            pressure_gradient: self.pressure_gradient(),
         }
     }
 }
@@ -744,6 +754,30 @@ mod tests {
             assert!(parts == in_parts::<f64, 2>(flat, 1, setup), "{:?}", setup.terms);
             assert_eq!(parts.1 > 1, setup.terms.gas_inertia, "{:?}", setup.terms);
         }
+    }
+
+    #[test]
+    fn a_step_of_most_gas_steps_looks_at_no_slab_that_is_gone() {
+        // A ring refuses to show what was written over.
+        fn check<R: Real, const D: usize>(cells: [usize; D], setup: Setup) {
+            for wanted in 1..=MOST_GAS_STEPS {
+                let grid = Grid::new(cells.map(|n| 1.25e-3 * n as f64), cells);
+                let mut flow = TwoFluid::<R, D>::new(grid, setup);
+                flow.gas[D - 1].set(|_| R::of(4.0));
+                flow.find_gas_speed();
+                let dt = (wanted as f64 - 0.5) * COURANT / flow.gas_speed;
+                let [before, after] = [flow.means(), {
+                    assert_eq!(flow.step_by(dt).unwrap().gas_steps, wanted);
+                    flow.means()
+                }];
+                let scale = POWDER.density * setup.solids_fraction;
+                let change = after.momentum[D - 1] - before.momentum[D - 1];
+                assert!(change.abs() < 1e-5 * scale, "{wanted}: {change:e}");
+                assert!(flow.theta.max().f64() < 1.0, "{wanted}: {}", flow.theta.max());
+            }
+        }
+        check::<f64, 2>([32, 48], setup(0.15, 0.1));
+        check::<f32, 3>([8, 8, 40], setup(0.15, 0.1));
     }
 
     /// `setup` with terms that are not the default, one set after the other.

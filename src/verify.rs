@@ -6,10 +6,13 @@
 //! known.
 
 mod cooling;
+mod decay;
 mod dual;
+mod front;
 mod growth;
 mod manufactured;
 mod pressure;
+mod shear;
 mod symmetry;
 
 use crate::case::{DragChoice, FrictionChoice, RadialDistributionChoice, Terms};
@@ -137,10 +140,13 @@ fn setup(solids_fraction: f64) -> Setup {
 }
 
 /// All checks.
-const CHECKS: [Check; 7] = [
+const CHECKS: [Check; 10] = [
     Check { name: "manufactured", run: manufactured::check },
     Check { name: "growth", run: growth::check },
     Check { name: "cooling", run: cooling::check },
+    Check { name: "decay", run: decay::check },
+    Check { name: "shear", run: shear::check },
+    Check { name: "front", run: front::check },
     Check { name: "symmetry", run: symmetry::check },
     Check { name: "conservation", run: symmetry::conservation },
     Check { name: "moving-frame", run: symmetry::moving_frame },

@@ -14,8 +14,8 @@ use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
 use super::{
-    DragChoice, EDGE_KEYS, EdgesChoice, FieldsChoice, FrictionChoice, GranularEnergyChoice,
-    KernelChoice, MarkerChoice, Precision, RadialDistributionChoice,
+    DragChoice, DriveChoice, EDGE_KEYS, EdgesChoice, FieldsChoice, FrictionChoice,
+    GranularEnergyChoice, KernelChoice, MarkerChoice, Precision, RadialDistributionChoice,
 };
 use crate::laws::scales::{REFERENCE_LENGTHS, Scales};
 
@@ -33,6 +33,8 @@ pub(super) const SECTIONS: [(&str, &[&str]); 7] = [
             "granular_energy",
             "gas_inertia",
             "gas_stress",
+            "drive",
+            "gas_flux",
             "gravity",
         ],
     ),
@@ -360,6 +362,8 @@ pub(super) struct PhysicsFile {
     pub granular_energy: Option<Typed<GranularEnergyChoice>>,
     pub gas_inertia: Option<Typed<bool>>,
     pub gas_stress: Option<Typed<bool>>,
+    pub drive: Option<Typed<DriveChoice>>,
+    pub gas_flux: Option<Typed<Quantity>>,
     pub gravity: Option<Typed<f64>>,
 }
 
@@ -468,6 +472,8 @@ pub(super) fn read(text: &str, problems: &mut Problems<'_>) -> Option<CaseFile> 
             granular_energy: section.optional("granular_energy", choice),
             gas_inertia: section.optional("gas_inertia", switch),
             gas_stress: section.optional("gas_stress", switch),
+            drive: section.optional("drive", choice),
+            gas_flux: section.optional("gas_flux", |value| quantity(value, Kind::Velocity)),
             gravity: section.optional("gravity", number),
         }
     };

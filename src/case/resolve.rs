@@ -9,8 +9,9 @@ use super::file::{
     CaseFile, DomainFile, FilterFile, OutputFile, Problems, Quantity, RunFile, Typed, Unit,
 };
 use super::{
-    Case, Domain, DragChoice, FieldsChoice, FilterCase, FrictionChoice, KernelChoice, MarkerChoice,
-    OutputCase, Physics, Precision, RadialDistributionChoice, RunCase, Terms, quoted,
+    Case, Domain, DragChoice, Drive, DriveChoice, FieldsChoice, FilterCase, FrictionChoice,
+    KernelChoice, MarkerChoice, OutputCase, Physics, Precision, RadialDistributionChoice, RunCase,
+    Terms, quoted,
 };
 use crate::laws::scales::{Gas, Powder, Scales};
 
@@ -100,6 +101,7 @@ pub(super) fn resolve(
         resolve_filter(&file.filter, domain.as_ref(), scales.as_ref(), max_packing, problems);
     let run = resolve_run(&file.run, scales.as_ref(), perturbation, problems);
     let output = resolve_output(&file.output, scales.as_ref(), run.as_ref(), problems);
+    let drive = resolve_drive(file, scales.as_ref(), problems);
     let (size, cells) = domain?;
     Some(Case {
         name: name.to_owned(),
@@ -119,12 +121,45 @@ pub(super) fn resolve(
                 .as_ref()
                 .map_or(FrictionChoice::Barrier, |typed| typed.value),
             terms: resolve_terms(file),
+            drive: drive?,
             gravity: gravity?,
         },
         filter: filter?,
         run: run?,
         output: output?,
     })
+}
+
+fn resolve_drive(
+    file: &CaseFile,
+    scales: Option<&Scales>,
+    problems: &mut Problems<'_>,
+) -> Option<Drive> {
+    let choice = file.physics.drive.as_ref().map(|typed| typed.value);
+    let Some(typed) = &file.physics.gas_flux else {
+        return Some(match choice {
+            Some(DriveChoice::GasFlux) => Drive::GasFlux(None),
+            _ => Drive::PressureGradient,
+        });
+    };
+    if choice != Some(DriveChoice::GasFlux) {
+        problems.refuse(
+            typed,
+            "it is kept only with drive = \"gas-flux\": give that too, or leave this out",
+        );
+        return None;
+    }
+    let scales = scales?;
+    let u_t = scales.terminal_velocity;
+    let flux = typed.value.si(Some(scales))?;
+    if !(1e-3 * u_t..=1e3 * u_t).contains(&flux) {
+        problems.refuse(
+            typed,
+            format!("from 0.001 u_t to 1000 u_t is accepted, upwards (u_t is {u_t:.4} m/s)"),
+        );
+        return None;
+    }
+    Some(Drive::GasFlux(Some(flux)))
 }
 
 fn resolve_terms(file: &CaseFile) -> Terms {

@@ -173,9 +173,9 @@ pub fn read(
             "axes" if axes.is_none() => axes = Some(text()?),
             "case" => piece.case = Some(text()?),
             "signals" => {
-                let signals: [f64; 6] = npy.values[..].try_into().map_err(|_| wrong())?;
+                let signals: [f64; 8] = npy.values[..].try_into().map_err(|_| wrong())?;
                 let half = |at: usize| std::array::from_fn(|n| signals[at + n]);
-                piece.signals = Some([half(0), half(3)]);
+                piece.signals = Some([half(0), half(4)]);
             }
             _ => {}
         }

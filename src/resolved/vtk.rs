@@ -741,9 +741,9 @@ fn read_field_data(
                 piece.periodic = Some(flags.map(|flag| flag != 0.0));
             }
             "signals" => {
-                let signals: [f64; 6] = values[..].try_into().map_err(|_| wrong())?;
+                let signals: [f64; 8] = values[..].try_into().map_err(|_| wrong())?;
                 let half = |at: usize| std::array::from_fn(|n| signals[at + n]);
-                piece.signals = Some([half(0), half(3)]);
+                piece.signals = Some([half(0), half(4)]);
             }
             _ => {
                 let bytes: Vec<u8> = values.iter().map(|byte| *byte as u8).collect();

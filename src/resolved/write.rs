@@ -41,7 +41,7 @@ pub struct Companions<'a> {
     /// The case, as a case file.
     pub case: &'a str,
     /// Mean slip, slip seen by the particles and variance of φ, at the instant and at the start.
-    pub signals: [[f64; 3]; 2],
+    pub signals: [[f64; 4]; 2],
 }
 
 /// A field by its name, with its components along x, y and z where it is a vector, and in VTK's order
@@ -122,10 +122,12 @@ fn write_vti<const D: usize, W: Write>(
     let cells = triple(fine.grid.cells, 0);
     let spacing = triple(fine.grid.spacing, 1.0);
     let extent = cells.map(|n| format!("0 {n}")).join(" ");
-    let join = |values: [f64; 3]| values.map(|value| format!("{value:?}")).join(" ");
+    let join = |values: &[f64]| {
+        values.iter().map(|value| format!("{value:?}")).collect::<Vec<_>>().join(" ")
+    };
     let periodic = triple(fine.periodic, false).map(|axis| u8::from(axis).to_string()).join(" ");
     let text = companions.case.bytes().map(|byte| byte.to_string()).collect::<Vec<_>>().join(" ");
-    let [now, start] = companions.signals.map(join);
+    let [now, start] = companions.signals.each_ref().map(|values| join(values));
     writeln!(
         to,
         "<?xml version=\"1.0\"?>\n\
@@ -139,14 +141,14 @@ fn write_vti<const D: usize, W: Write>(
          {periodic}</DataArray>\n\
          <DataArray type=\"UInt8\" Name=\"vertical\" NumberOfTuples=\"1\" format=\"ascii\">\
          {}</DataArray>\n\
-         <DataArray type=\"Float64\" Name=\"signals\" NumberOfTuples=\"6\" format=\"ascii\">\
+         <DataArray type=\"Float64\" Name=\"signals\" NumberOfTuples=\"8\" format=\"ascii\">\
          {now} {start}</DataArray>\n\
          <DataArray type=\"UInt8\" Name=\"case\" NumberOfTuples=\"{}\" format=\"ascii\">\
          {text}</DataArray>\n\
          </FieldData>\n\
          <Piece Extent=\"{extent}\">\n\
          <CellData Scalars=\"solids_fraction\" Vectors=\"solids_velocity\">",
-        join(spacing),
+        join(&spacing),
         fine.time,
         D - 1,
         companions.case.len(),
@@ -204,7 +206,7 @@ fn write_npz<const D: usize, W: Write + Seek>(
     zip.numbers("spacing", &[D], &[&fine.grid.spacing])?;
     zip.numbers("periodic", &[D], &[&flags])?;
     zip.numbers("vertical", &[1], &[&[(D - 1) as f64]])?;
-    zip.numbers("signals", &[2, 3], &[&now, &start])?;
+    zip.numbers("signals", &[2, 4], &[&now, &start])?;
     zip.text("axes", if D == 2 { "yx" } else { "zyx" })?;
     zip.text("case", companions.case)?;
     zip.finish()
@@ -280,7 +282,7 @@ impl Recorder {
         &self,
         sample: u64,
         fine: &FineFields<D>,
-        signals: impl Fn(usize) -> [f64; 3],
+        signals: impl Fn(usize) -> [f64; 4],
     ) -> Result<(), RecordError> {
         if !sample.is_multiple_of(self.every) {
             return Ok(());

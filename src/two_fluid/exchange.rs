@@ -64,6 +64,12 @@ impl<R: Real> Mobility<R> {
         )
     }
 
+    /// Gain of (u_s, u_g) by forces per volume, each phase's by its fraction.
+    #[inline(always)]
+    fn driven(&self, force: [R; 2]) -> (R, R) {
+        self.velocities(self.phi * force[0], (R::ONE - self.phi) * force[1])
+    }
+
     /// φ u_s + (1-φ) u_g.
     #[inline(always)]
     fn total(&self, (solids, gas): (R, R)) -> R {
@@ -137,6 +143,49 @@ simd! {
             ug[i] -= gas * gradient;
         }
     }
+}
+
+simd! {
+    /// Adds `whole` to the velocities of the solids along one axis, and to those of the gas what makes
+    /// the total volume flux grow by `total`.
+    pub(super) fn drive_row[R: Real](
+        us: &mut [R],
+        ug: &mut [R],
+        phi: [&[R]; 2],
+        total: R,
+        whole: R,
+    ) {
+        let n = us.len();
+        let (ug, phi) = (&mut ug[..n], cut(phi, n));
+        for i in 0..n {
+            let face = R::of(0.5) * (phi[0][i] + phi[1][i]);
+            us[i] += whole;
+            ug[i] += (total - face * whole) / (R::ONE - face);
+        }
+    }
+}
+
+/// Sums over a row of faces: φ, φ u_s, (1-φ) u_g, and what the last two gain by
+/// forces per volume, each phase's by its fraction.
+pub(super) fn driven_sums<R: Real>(
+    velocities: [&[R]; 2],
+    phi: [&[R]; 2],
+    drag: [&[R]; 2],
+    inertia: Inertia<R>,
+    force: [R; 2],
+) -> [f64; 5] {
+    let mut sums = [0.0; 5];
+    for i in 0..velocities[0].len() {
+        let face = inertia.mobility(phi.map(|q| q[i]), drag.map(|q| q[i]));
+        let (solids, gas) = face.driven(force);
+        let phi = face.phi.f64();
+        sums[0] += phi;
+        sums[1] += phi * velocities[0][i].f64();
+        sums[2] += (1.0 - phi) * velocities[1][i].f64();
+        sums[3] += phi * solids.f64();
+        sums[4] += (1.0 - phi) * gas.f64();
+    }
+    sums
 }
 
 simd! {

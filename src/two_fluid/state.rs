@@ -6,7 +6,8 @@
 //!
 //! Little-endian: bytes per number (u8), dimension (u8), cells along each axis (u64 each), time
 //! (f64), steps (u64), next time step (f64) and what limits it (u8); then φ, T, p, δp, the components
-//! of u_s and those of u_g, each row by row, first axis fastest, in the solver's precision.
+//! of u_s and those of u_g, each row by row, first axis fastest, in the solver's precision; if a gas
+//! flux is kept, the mean pressure gradient over the weight (f64).
 
 use super::{Limit, Setup, TwoFluid};
 use crate::field::Field;
@@ -79,6 +80,9 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
                 to.write_all(&bytes)?;
             }
         }
+        if let Some(flux) = self.gas_flux {
+            to.write_all(&flux.gradient.to_le_bytes())?;
+        }
         Ok(())
     }
 
@@ -103,6 +107,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             .for_each(copy);
         tiled.solids.iter_mut().zip(&self.solids).for_each(copy);
         tiled.gas.iter_mut().zip(&self.gas).for_each(copy);
+        tiled.gas_flux = self.gas_flux;
         tiled.find_gas_speed();
         tiled
     }
@@ -135,6 +140,9 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let scalars = [&mut self.phi, &mut self.theta, &mut self.pressure, &mut self.increment];
         for field in scalars.into_iter().chain(&mut self.solids).chain(&mut self.gas) {
             read_field(field, from)?;
+        }
+        if let Some(flux) = &mut self.gas_flux {
+            flux.gradient = f64::from_le_bytes(bytes(from)?);
         }
         self.find_gas_speed();
         Ok(())

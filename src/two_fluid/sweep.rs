@@ -190,8 +190,8 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         Self {
             slabs: [begin, end],
             most: ring(2),
-            solids_flux: rings(8),
-            gas_flux: rings(if terms.gas_inertia { 8 } else { 1 }),
+            solids_flux: rings(16),
+            gas_flux: rings(if terms.gas_inertia { 16 } else { 1 }),
             heat_flux: rings(if transports_heat { 2 } else { 1 }),
             phi: ring(16),
             theta: ring(if transports_heat { 16 } else { 1 }),

@@ -60,7 +60,7 @@ impl Change {
 }
 
 /// The values of a field, along the first axis first.
-fn values<const D: usize>(flow: &TwoFluid<f64, D>, quantity: Quantity) -> Vec<f64> {
+pub(super) fn values<const D: usize>(flow: &TwoFluid<f64, D>, quantity: Quantity) -> Vec<f64> {
     flow.field(quantity).interior().flatten().copied().collect()
 }
 
