@@ -23,6 +23,7 @@ pub mod extrapolation;
 pub mod filter;
 pub mod filtered;
 pub mod moments;
+pub mod replicates;
 pub mod resolved;
 pub mod series;
 pub mod simulate;

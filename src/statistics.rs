@@ -380,7 +380,7 @@ pub struct Layout {
 
 impl Layout {
     /// Blocks of space.
-    fn places(&self) -> usize {
+    pub(crate) fn places(&self) -> usize {
         self.space.iter().product()
     }
 
@@ -396,7 +396,7 @@ impl Layout {
             && self.spacing.iter().zip(&other.spacing).all(alike)
     }
 
-    fn densities(&self) -> Densities {
+    pub(crate) fn densities(&self) -> Densities {
         Densities { solids: self.densities[0], gas: self.densities[1] }
     }
 }
@@ -888,42 +888,57 @@ pub fn bin_table_among(
     among: &[&Sums],
     scales: &Scales,
 ) -> Result<Vec<BinRow>, MergeError> {
-    let Some(first) = runs.first() else { return Ok(Vec::new()) };
+    Ok(tabulate(runs, among, scales)?.rows)
+}
+
+/// A bin table and what it is of.
+#[derive(Default)]
+pub(crate) struct Tabulated<'a> {
+    pub(crate) rows: Vec<BinRow>,
+    /// For each row the numbers of its quantity, its width and its bin in `visited`.
+    pub(crate) of_rows: Vec<[usize; 3]>,
+    /// For each row its correlation time \[blocks of time\].
+    pub(crate) times: Vec<f64>,
+    /// For each width the bins that were visited.
+    pub(crate) visited: Vec<Vec<BinVisits<'a>>>,
+}
+
+/// [`bin_table_among`], and what it is of.
+pub(crate) fn tabulate<'a>(
+    runs: &[&'a Sums],
+    among: &[&Sums],
+    scales: &Scales,
+) -> Result<Tabulated<'a>, MergeError> {
+    let mut found = Tabulated::default();
+    let Some(first) = runs.first() else { return Ok(found) };
     runs.iter().try_for_each(|run| first.matches(run))?;
     among.iter().try_for_each(|run| first.matches_but_for_grid(run))?;
-    let widths = 0..first.layout.widths.len();
-    let visited: Vec<Vec<BinVisits>> =
-        widths.map(|width| visits(runs, width, &groups(among, width))).collect();
+    let layout = &first.layout;
+    let widths = 0..layout.widths.len();
+    found.visited = widths.map(|width| visits(runs, width, &groups(among, width))).collect();
     let mut estimator = Estimator::default();
-    let mut rows = Vec::new();
     for (number, quantity) in QUANTITIES.iter().enumerate() {
-        if quantity.only_3d && first.layout.dimension < 3 {
+        if quantity.only_3d && layout.dimension < 3 {
             continue;
         }
-        for (&width, bins) in first.layout.widths.iter().zip(&visited) {
-            let factor = quantity.formula.factor(first.layout.densities(), width);
-            for visits in bins {
+        for (place, (&width, bins)) in layout.widths.iter().zip(&found.visited).enumerate() {
+            let factor = quantity.formula.factor(layout.densities(), width);
+            for (bin, visits) in bins.iter().enumerate() {
                 let mean = quantity.formula.mean(&visits.total);
                 let pair = |sums: &[f64]| quantity.formula.pair(sums, mean, factor);
-                let found = estimator.estimate(&visits.blocks(runs, pair));
-                if found.ratio.is_finite() {
-                    let spread = visits.spread(number, found.ratio);
-                    let denominator = pair(&visits.total)[1];
-                    let layout = &first.layout;
-                    rows.push(row(
-                        quantity,
-                        width,
-                        visits,
-                        &found,
-                        (spread, denominator),
-                        layout,
-                        scales,
-                    ));
+                let estimate = estimator.estimate(&visits.blocks(runs, pair));
+                if !estimate.ratio.is_finite() {
+                    continue;
                 }
+                let spread = visits.spread(number, estimate.ratio);
+                let spread = (spread, pair(&visits.total)[1]);
+                found.rows.push(row(quantity, width, visits, &estimate, spread, layout, scales));
+                found.of_rows.push([number, place, bin]);
+                found.times.push(estimate.correlation_time);
             }
         }
     }
-    Ok(rows)
+    Ok(found)
 }
 
 /// What was seen of a bin in one block.
@@ -937,7 +952,7 @@ struct Seen<'a> {
 }
 
 /// What all runs saw of one bin, or of some put together, at one width.
-struct BinVisits<'a> {
+pub(crate) struct BinVisits<'a> {
     /// Its edges along each axis.
     edges: Vec<[f64; 2]>,
     /// In the order of runs, blocks and blocks of space.
@@ -962,6 +977,19 @@ impl BinVisits<'_> {
             Run { space: run.layout.space, sums }
         };
         self.seen.chunk_by(|a, b| a.run == b.run).map(of_run).collect()
+    }
+
+    /// The sums over all blocks, each as often as `counts` says of its run.
+    pub(crate) fn resampled(&self, runs: &[&Sums], counts: &[Vec<f64>]) -> [f64; TERM_COUNT] {
+        let mut total = [0.0; TERM_COUNT];
+        for seen in &self.seen {
+            let places = runs[seen.run].layout.places();
+            let count = counts[seen.run][seen.block * places + seen.place];
+            if count > 0.0 {
+                total.iter_mut().zip(seen.sums).for_each(|(total, sum)| *total += count * sum);
+            }
+        }
+        total
     }
 
     /// Mean of (num - R den)² over the positions that were looked at; none if none was.
