@@ -25,9 +25,11 @@ pub const ASSUMED_ORDER: f64 = 1.0;
 /// found is uncertain.
 const ORDERS: [f64; 2] = [0.5, 3.0];
 
-/// Steps of the search for an order, and halvings of the last one.
+/// Steps of the search for an order; what remains is halved until the order is known as well as asked.
 const STEPS: usize = 25;
-const HALVINGS: usize = 40;
+
+/// How well an order may be known: beyond, it is round-off.
+pub const PRECISE: f64 = 1e-10;
 
 /// Grids whose cells are less than this many times larger than others say nothing of a limit.
 const LEAST_RATIO: f64 = 1.1;
@@ -132,9 +134,9 @@ pub fn limit(grids: &[OnGrid], order: f64) -> Option<Limit> {
 }
 
 /// The order at which χ² of all `values` together, each on three grids or more, is least; values on
-/// fewer grids do not count. None if no value counts, or the best order is not one that is believed,
-/// 0.5 to 3.
-pub fn observed_order(values: &[Vec<OnGrid>]) -> Option<f64> {
+/// fewer grids do not count; to `within`. None if no value counts, or the best order is not one that is
+/// believed, 0.5 to 3.
+pub fn observed_order(values: &[Vec<OnGrid>], within: f64) -> Option<f64> {
     let counted: Vec<&Vec<OnGrid>> =
         values.iter().filter(|grids| grids.len() > 2 && differ(grids)).collect();
     if counted.is_empty() {
@@ -152,7 +154,7 @@ pub fn observed_order(values: &[Vec<OnGrid>]) -> Option<f64> {
     if derivative(below) > 0.0 || derivative(above) < 0.0 {
         return None;
     }
-    for _ in 0..HALVINGS {
+    while above - below > within {
         let middle = 0.5 * (below + above);
         if derivative(middle) > 0.0 { above = middle } else { below = middle }
     }
@@ -173,7 +175,7 @@ mod tests {
             let value = |h: f64| 2.5 + 0.3 * h.powf(order);
             // Cells need not halve, and errors need not be alike.
             let grids = [4.0, 2.5, 1.0, 0.6].map(|h| on(h, value(h), 0.01 * (1.0 + h)));
-            let found = observed_order(&[grids.to_vec()]).unwrap();
+            let found = observed_order(&[grids.to_vec()], PRECISE).unwrap();
             assert!((found - order).abs() < 1e-9, "{found} {order}");
             let limit = limit(&grids, found).unwrap();
             assert!((limit.value - 2.5).abs() < 1e-9, "{limit:?}");
@@ -190,7 +192,7 @@ mod tests {
         assert!((limit.grid_error - 0.2).abs() < 1e-14);
         assert!((limit.standard_error - (0.08f64.powi(2) + 0.03f64.powi(2)).sqrt()).abs() < 1e-14);
         assert!((limit.grid_standard_error - 0.05).abs() < 1e-14);
-        assert_eq!(observed_order(&[vec![on(2.0, 1.3, 0.03), on(1.0, 1.1, 0.04)]]), None);
+        assert_eq!(observed_order(&[vec![on(2.0, 1.3, 0.03), on(1.0, 1.1, 0.04)]], PRECISE), None);
     }
 
     #[test]
@@ -200,7 +202,7 @@ mod tests {
         let limit = limit(&grids, 1.0).unwrap();
         assert!((limit.value - 2.2).abs() < 1e-12, "{limit:?}");
         // Values up and down show no order.
-        assert_eq!(observed_order(&[grids.to_vec()]), None);
+        assert_eq!(observed_order(&[grids.to_vec()], PRECISE), None);
     }
 
     #[test]

@@ -23,6 +23,11 @@
 //! - **Few instants.** Runs of fewer than [`FEWEST_TIMES`] blocks of time are resampled by their blocks of
 //!   space, at least [`FEWEST_LUMPS`], n - 1 of n drawn.
 //!
+//! On Ornstein-Uhlenbeck signals (300 realisations, a standard deviation known to 4 %) replicates of a mean
+//! and of a ratio scatter 0.97 to 1.09 times as much as realisations do: 1.01 for one run of 1024 blocks
+//! and τ = 4, 1.09 and 1.03 of 260 blocks, 0.98 and 0.97 for four runs of 130 blocks and τ = 3, 1.07 without
+//! memory; the correlation of the two is 0.66 to 0.71 where it is 0.68 to 0.69.
+//!
 //! The intervals of the bin table ([`blocking`](crate::blocking): Student's t, Fieller, Hall) are those of
 //! one number, and keep their 95 %; replicates are for functions of many numbers. Their standard deviation
 //! agrees with `standard_error` to what either is known to; a percentile interval of replicates knows

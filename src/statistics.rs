@@ -276,9 +276,10 @@ impl Bins {
 /// Numbers of a [`Spread`]: how many positions, and Σ num², Σ num den, Σ den² of each quantity.
 pub(crate) const SPREAD: usize = 1 + 3 * QUANTITY_COUNT;
 
-/// One block of time in this many, and one position in as many, tells how far single positions lie
-/// from the mean: it need not be known better.
-const SPREAD_EVERY: u64 = 4;
+/// One block of time in so many, and of its positions one in so many, tells how far single positions lie
+/// from the mean: it need not be known better, and spreads take three times the room of sums.
+const SPREAD_BLOCKS: u64 = 8;
+const SPREAD_POSITIONS: usize = 2;
 
 /// Sums of the bins that were visited at one filter width during one block of time.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -287,7 +288,7 @@ pub struct Visits {
     pub keys: Vec<u32>,
     /// Sums of the [`Term`]s over the positions: [`TERM_COUNT`] for each visit.
     pub sums: Vec<f64>,
-    /// For each visit of one block in four the positions looked at, and Σ num², Σ num den and Σ den²
+    /// For each visit of one block in eight the positions looked at, and Σ num², Σ num den and Σ den²
     /// of each quantity over them; empty in the others.
     pub spreads: Vec<f64>,
 }
@@ -745,7 +746,7 @@ impl<const D: usize, L: DragLaw<f64>> Sampler<D, L> {
         self.filter.filter(fields);
         let Some(block) = self.sums.blocks.last_mut() else { return };
         block.instants += 1;
-        let spread = block.place.is_multiple_of(SPREAD_EVERY);
+        let spread = block.place.is_multiple_of(SPREAD_BLOCKS);
         let per_unit = layout.bins.per_unit(&self.scales);
         let mut widths: Vec<_> =
             block.widths.iter_mut().zip(&mut self.rows).zip(&self.places).enumerate().collect();
@@ -780,7 +781,7 @@ impl<const D: usize, L: DragLaw<f64>> Sampler<D, L> {
                         let factors: [f64; QUANTITY_COUNT] = std::array::from_fn(|quantity| {
                             QUANTITIES[quantity].formula.factor(layout.densities(), width)
                         });
-                        for n in (0..len).step_by(SPREAD_EVERY as usize) {
+                        for n in (0..len).step_by(SPREAD_POSITIONS) {
                             let terms: [f64; TERM_COUNT] =
                                 std::array::from_fn(|term| terms[n / LANES][term].0[n % LANES]);
                             let spread = &mut visits.spreads[visited[n] as usize * SPREAD..];

@@ -160,7 +160,7 @@ pub struct BinRow {
     /// infinitely fine cells.
     #[serde(default)]
     pub extrapolated: Option<f64>,
-    /// Its standard error from sampling, the order of convergence included if it was observed.
+    /// Its standard error from sampling, an observed order of convergence and misfit included.
     #[serde(default)]
     pub extrapolated_standard_error: Option<f64>,
     /// Grid error of the finest grid, `value` − `extrapolated`.

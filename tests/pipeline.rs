@@ -1,6 +1,9 @@
 //! The whole chain through the binary: every example, the same bytes again, what the tables say.
 
+mod common;
+
 use assert_cmd::Command;
+use common::SYSTEM;
 use favre::model::Model;
 use favre::table::{BinRow, read_bins};
 use std::fs;
@@ -8,14 +11,6 @@ use std::path::Path;
 
 /// A box that clusters within seconds.
 const SMALL: &str = r#"
-[powder]
-diameter = 75e-6
-density = 1500.0
-restitution = 0.9
-max_packing = 0.65
-[gas]
-density = 1.3
-viscosity = 1.8e-5
 [box]
 size = [0.08, 0.08]
 cells = [64, 64]
@@ -63,7 +58,7 @@ fn every_example_runs_shortened() {
 fn a_clustered_box_gives_a_closure_and_the_same_bytes_again() {
     let folder = tempfile::tempdir().unwrap();
     let case = folder.path().join("small.toml");
-    fs::write(&case, SMALL).unwrap();
+    fs::write(&case, [SYSTEM, SMALL].concat()).unwrap();
     let (first, second) = (folder.path().join("first"), folder.path().join("second"));
     run(&case, &first, &["--threads", "2"]);
     run(&case, &second, &["--threads", "1"]);
@@ -115,7 +110,8 @@ fn runs_are_pooled_from_their_sums() {
         "markers = [\"solids_fraction\", \"shear_rate\"]\nshear_rate_edges = \"3 quantiles\"\n";
     for seed in [1, 2] {
         let case = at(&format!("seed-{seed}.toml"));
-        let text = SMALL.replace("[run]", &format!("{markers}[run]\nseed = {seed}"));
+        let text =
+            [SYSTEM, SMALL].concat().replace("[run]", &format!("{markers}[run]\nseed = {seed}"));
         fs::write(&case, text).unwrap();
         run(&case, &at(&seed.to_string()), &["--duration", "30 u_t/g"]);
     }
@@ -154,7 +150,8 @@ fn runs_on_two_grids_are_extrapolated_and_not_averaged() {
     let at = |name: &str| folder.path().join(name);
     for cells in ["32", "64"] {
         let case = at(&format!("{cells}.toml"));
-        let text = SMALL
+        let text = [SYSTEM, SMALL]
+            .concat()
             .replace("[64, 64]", &format!("[{cells}, {cells}]"))
             .replace("[0.005, 0.01, 0.02, 0.04]", "[0.01, 0.02]");
         fs::write(&case, text).unwrap();

@@ -12,7 +12,7 @@ use crate::case::{
     Case, DEFAULT, DragChoice, FrictionChoice, GranularEnergyChoice, Physics, Precision,
     RadialDistributionChoice,
 };
-use crate::extrapolation::{ASSUMED_ORDER, OnGrid, limit, observed_order};
+use crate::extrapolation::{ASSUMED_ORDER, OnGrid, PRECISE, limit, observed_order};
 use crate::fine::FineFields;
 use crate::grid::Grid;
 use crate::real::Real;
@@ -379,7 +379,7 @@ fn simulate<R: Real>(case: &Case, variant: &Variant, longest: f64) -> Result<Run
 
 /// The limit of infinitely fine cells of the slip on three grids.
 fn extrapolate(grids: &[OnGrid; 3]) -> Option<Extrapolation> {
-    let observed = observed_order(&[grids.to_vec()]);
+    let observed = observed_order(&[grids.to_vec()], PRECISE);
     let order = observed.unwrap_or(ASSUMED_ORDER);
     let limit = limit(grids, order)?;
     Some(Extrapolation {

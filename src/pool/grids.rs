@@ -1,16 +1,34 @@
 //! [`Grids`]: tables of one box on several grids made one table, sampling error and grid error apart.
+//!
+//! An order that is read off the values is uncertain, and all the more so as bins of one run err
+//! together. Replicates of all bins of each grid give as many orders: the order counts as observed if
+//! nine replicates in ten show one, its standard error is their scatter, and the errors of limits and grid
+//! errors grow by as much as their replicates scatter more with orders of their own than with one. Where
+//! the values of a quantity miss the power law by more than their errors allow, χ² per degree of freedom
+//! above 1, errors are widened by its root.
 
-use crate::extrapolation::{ASSUMED_ORDER, OnGrid, limit, observed_order};
+use crate::extrapolation::{ASSUMED_ORDER, OnGrid, PRECISE, limit, observed_order};
 use crate::laws::scales::Scales;
+use crate::replicates::{ReplicateError, replicate_among, standard_deviation};
 use crate::statistics::{MergeError, Sums, bin_table_among};
 use crate::sums::RunSums;
 use crate::table::BinRow;
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 /// Standard errors beyond which a grid error is taken for one, and not for chance.
 const BEYOND: f64 = 2.0;
+
+/// Quantities shown of each summary.
+const LINES: usize = 10;
+
+/// Replicates that an order's error is read off, and the share of them that must show one.
+const REPLICATES: usize = 60;
+const SHOWN: f64 = 0.9;
+
+/// How well the order of a replicate is found.
+const REPLICATE_ORDER: f64 = 0.01;
 
 /// What runs on several grids say of each other.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -35,13 +53,16 @@ pub struct Convergence {
     pub order: f64,
     /// Whether the values show it; else it was given or assumed.
     pub observed: bool,
+    /// Its standard error from sampling, if it was observed.
+    pub order_standard_error: Option<f64>,
     /// Rows that were extrapolated.
     pub rows: usize,
     /// Those whose grid error is more than two standard errors.
     pub beyond: usize,
     /// Median of |grid error| over |extrapolated value|.
     pub relative: f64,
-    /// χ² of the fits over its degrees of freedom; none of two grids.
+    /// χ² of the fits over its degrees of freedom; none of two grids. Errors are widened by its root if it
+    /// is above 1.
     pub chi_squared: Option<f64>,
 }
 
@@ -68,83 +89,52 @@ pub(super) fn table(
     scales: &Scales,
 ) -> Result<(Vec<BinRow>, Grids), MergeError> {
     let all: Vec<&Sums> = runs.iter().map(|run| &run.sums).collect();
+    // Two grids show no order.
+    let count = if order.is_none() && grids.len() > 2 { REPLICATES } else { 0 };
     let mut tables = Vec::with_capacity(grids.len());
-    for grid in grids {
+    for (seed, grid) in grids.iter().enumerate() {
         let of_grid: Vec<&Sums> = grid.iter().map(|&run| &runs[run].sums).collect();
+        let fractions: Vec<f64> = grid.iter().map(|&run| runs[run].solids_fraction).collect();
         let cell = of_grid[0].layout.cell();
-        tables.push((cell, bin_table_among(&of_grid, &all, scales)?));
-    }
-    let (_, mut rows) = tables.remove(0);
-    let finest = runs[grids[0][0]].sums.layout.cell();
-    let mut places = BTreeMap::new();
-    for (place, row) in rows.iter().enumerate() {
-        places.insert(row.bin(), place);
-    }
-    let on = |cell: f64, row: &BinRow| OnGrid {
-        cell,
-        value: row.value,
-        standard_error: row.standard_error,
-    };
-    let mut values: Vec<Vec<OnGrid>> = rows.iter().map(|row| vec![on(finest, row)]).collect();
-    let mut only_coarser = 0;
-    for (cell, table) in &tables {
-        for row in table {
-            match places.get(&row.bin()) {
-                Some(&place) if row.standard_error.is_finite() => {
-                    values[place].push(on(*cell, row));
+        tables.push(
+            match replicate_among(&of_grid, &fractions, &all, scales, count, seed as u64) {
+                Ok(found) => OfGrid { cell, rows: found.rows, replicates: found.values },
+                Err(ReplicateError::Merge(error)) => return Err(error),
+                // Without replicates no order is observed.
+                Err(ReplicateError::TooShort { .. }) => {
+                    let rows = bin_table_among(&of_grid, &all, scales)?;
+                    OfGrid { cell, rows, replicates: vec![] }
                 }
-                Some(_) => {}
-                None => only_coarser += 1,
-            }
-        }
+            },
+        );
     }
-    let mut quantities = Vec::new();
-    let mut begin = 0;
-    while begin < rows.len() {
-        let name = rows[begin].quantity.clone();
-        let count = rows[begin..].iter().take_while(|row| row.quantity == name).count();
-        let of_quantity = begin..begin + count;
-        begin += count;
-        // The finest grid must know its own error for the others to say something about it.
-        let known = |values: &&Vec<OnGrid>| values[0].standard_error.is_finite();
-        let shared: Vec<Vec<OnGrid>> =
-            values[of_quantity.clone()].iter().filter(known).cloned().collect();
-        let observed = if order.is_none() { observed_order(&shared) } else { None };
-        let taken = order.or(observed).unwrap_or(ASSUMED_ORDER);
-        let mut found = Convergence {
-            quantity: name,
-            order: taken,
-            observed: observed.is_some(),
-            rows: 0,
-            beyond: 0,
-            relative: f64::NAN,
-            chi_squared: None,
+    let mut rows = tables[0].rows.clone();
+    let (seen, only_coarser) = seen(&tables);
+    let replicates = tables.iter().map(|of| of.replicates.len()).min().unwrap_or(0);
+    let on_grids = |row: usize, value: &dyn Fn(&OfGrid, usize) -> f64| -> Vec<OnGrid> {
+        let on = |&(grid, place): &(usize, usize)| OnGrid {
+            cell: tables[grid].cell,
+            value: value(&tables[grid], place),
+            standard_error: tables[grid].rows[place].standard_error,
         };
-        let (mut chi_squared, mut freedom, mut relative) = (0.0, 0, Vec::new());
-        for (row, values) in rows[of_quantity.clone()].iter_mut().zip(&values[of_quantity]) {
-            let Some(limit) = limit(values, taken).filter(|_| known(&values)) else { continue };
-            row.extrapolated = Some(limit.value);
-            row.extrapolated_standard_error = Some(limit.standard_error);
-            row.grid_error = Some(limit.grid_error);
-            row.grid_standard_error = Some(limit.grid_standard_error);
-            found.rows += 1;
-            found.beyond +=
-                usize::from(limit.grid_error.abs() > BEYOND * limit.grid_standard_error);
-            if values.len() > 2 {
-                chi_squared += limit.chi_squared;
-                freedom += values.len() - 2;
-            }
-            relative.push((limit.grid_error / limit.value).abs());
-        }
-        if found.rows == 0 {
-            continue;
-        }
-        relative.sort_by(f64::total_cmp);
-        found.relative = relative[relative.len() / 2];
-        // The shared order is fitted too.
-        freedom = freedom.saturating_sub(usize::from(found.observed));
-        found.chi_squared = (freedom > 0).then(|| chi_squared / freedom as f64);
-        quantities.push(found);
+        seen[row].iter().map(on).collect()
+    };
+    let mut quantities = Vec::new();
+    let mut end = 0;
+    while end < rows.len() {
+        let begin = end;
+        end += rows[begin..].chunk_by(|a, b| a.quantity == b.quantity).next().map_or(1, <[_]>::len);
+        // Values on a grid each; of a replicate, rows that it did not see are left out.
+        let values = |value: &dyn Fn(&OfGrid, usize) -> f64| -> Vec<Vec<OnGrid>> {
+            (begin..end).map(|row| on_grids(row, value)).collect()
+        };
+        let found = values(&|of, place| of.rows[place].value);
+        let of_replicates: Vec<Vec<Vec<OnGrid>>> =
+            (0..replicates).map(|n| values(&|of, place| of.replicates[n][place])).collect();
+        let shown = if order.is_none() { Shown::new(&found, of_replicates) } else { None };
+        let taken = order.or(shown.as_ref().map(|shown| shown.order)).unwrap_or(ASSUMED_ORDER);
+        let rows = &mut rows[begin..end];
+        quantities.extend(extrapolate(rows, &found, taken, shown.as_ref()));
     }
     let boxes = |grid: &Vec<usize>| {
         let mut boxes: Vec<u64> =
@@ -153,13 +143,146 @@ pub(super) fn table(
         boxes.dedup();
         boxes
     };
-    let grids_found = Grids {
-        cells: grids.iter().map(|grid| (runs[grid[0]].sums.layout.cell(), grid.len())).collect(),
-        same_boxes: grids.iter().all(|grid| boxes(grid) == boxes(&grids[0])),
-        only_coarser,
-        quantities,
+    let cells = tables.iter().zip(grids).map(|(of, runs)| (of.cell, runs.len())).collect();
+    let same_boxes = grids.iter().all(|grid| boxes(grid) == boxes(&grids[0]));
+    Ok((rows, Grids { cells, same_boxes, only_coarser, quantities }))
+}
+
+/// The table of one grid.
+struct OfGrid {
+    cell: f64,
+    rows: Vec<BinRow>,
+    /// For each replicate the values of the rows.
+    replicates: Vec<Vec<f64>>,
+}
+
+/// For each row of the first table the grids that know it with an error, and its place in their tables;
+/// and how many rows only the others have. A row that the first does not know has none.
+fn seen(tables: &[OfGrid]) -> (Vec<Vec<(usize, usize)>>, usize) {
+    let first = &tables[0].rows;
+    let places: BTreeMap<_, usize> =
+        first.iter().enumerate().map(|(place, row)| (row.bin(), place)).collect();
+    let mut seen = vec![Vec::new(); first.len()];
+    let mut only_coarser = BTreeSet::new();
+    for (grid, table) in tables.iter().enumerate() {
+        for (place, row) in table.rows.iter().enumerate() {
+            match places.get(&row.bin()) {
+                // The finest grid must know its own error for the others to say something of it.
+                Some(&of_first) if first[of_first].standard_error.is_finite() => {
+                    if row.standard_error.is_finite() {
+                        seen[of_first].push((grid, place));
+                    }
+                }
+                Some(_) => {}
+                None => {
+                    only_coarser.insert(row.bin());
+                }
+            }
+        }
+    }
+    (seen, only_coarser.len())
+}
+
+/// An order that the values show.
+struct Shown {
+    order: f64,
+    standard_error: f64,
+    /// The replicates that show one, and theirs.
+    replicates: Vec<(f64, Vec<Vec<OnGrid>>)>,
+}
+
+impl Shown {
+    /// None if the values, or too many replicates, show none.
+    fn new(values: &[Vec<OnGrid>], replicates: Vec<Vec<Vec<OnGrid>>>) -> Option<Self> {
+        let order = observed_order(values, PRECISE)?;
+        let count = replicates.len() as f64;
+        let mut shown = Vec::with_capacity(replicates.len());
+        for mut values in replicates {
+            for values in &mut values {
+                if values.iter().any(|value| !value.value.is_finite()) {
+                    values.clear();
+                }
+            }
+            if let Some(order) = observed_order(&values, REPLICATE_ORDER) {
+                shown.push((order, values));
+            }
+        }
+        if shown.is_empty() || (shown.len() as f64) < SHOWN * count {
+            return None;
+        }
+        let orders: Vec<f64> = shown.iter().map(|(order, _)| *order).collect();
+        Some(Self { order, standard_error: standard_deviation(&orders), replicates: shown })
+    }
+
+    /// By how much limit and grid error of row number `row` scatter more than with a known order.
+    fn growth(&self, row: usize) -> [f64; 2] {
+        let scatter = |order: &dyn Fn(f64) -> f64| {
+            let limits = self
+                .replicates
+                .iter()
+                .filter(|(_, values)| !values[row].is_empty())
+                .filter_map(|(own, values)| limit(&values[row], order(*own)));
+            let (values, errors): (Vec<f64>, Vec<f64>) =
+                limits.map(|limit| (limit.value, limit.grid_error)).unzip();
+            [standard_deviation(&values), standard_deviation(&errors)]
+        };
+        let [own, known] = [scatter(&|own| own), scatter(&|_| self.order)];
+        // Of few replicates, or values without scatter, there is nothing to go by.
+        [0, 1].map(|part| {
+            Some(own[part] / known[part]).filter(|by| by.is_finite()).map_or(1.0, |by| by.max(1.0))
+        })
+    }
+}
+
+/// Extrapolates the rows of a quantity, whose values on each grid are `values`; none if there is nothing
+/// to go by.
+fn extrapolate(
+    rows: &mut [BinRow],
+    values: &[Vec<OnGrid>],
+    order: f64,
+    shown: Option<&Shown>,
+) -> Option<Convergence> {
+    let mut found = Convergence {
+        quantity: rows.first()?.quantity.clone(),
+        order,
+        observed: shown.is_some(),
+        order_standard_error: shown.map(|shown| shown.standard_error),
+        rows: 0,
+        beyond: 0,
+        relative: f64::NAN,
+        chi_squared: None,
     };
-    Ok((rows, grids_found))
+    let (mut chi_squared, mut freedom, mut relative) = (0.0, 0, Vec::new());
+    for (number, (row, values)) in rows.iter_mut().zip(values).enumerate() {
+        let Some(limit) = limit(values, order) else { continue };
+        let [of_limit, of_error] = shown.map_or([1.0; 2], |shown| shown.growth(number));
+        row.extrapolated = Some(limit.value);
+        row.extrapolated_standard_error = Some(of_limit * limit.standard_error);
+        row.grid_error = Some(limit.grid_error);
+        row.grid_standard_error = Some(of_error * limit.grid_standard_error);
+        found.rows += 1;
+        if values.len() > 2 {
+            chi_squared += limit.chi_squared;
+            freedom += values.len() - 2;
+        }
+        relative.push((limit.grid_error / limit.value).abs());
+    }
+    relative.sort_by(f64::total_cmp);
+    found.relative = *relative.get(relative.len() / 2)?;
+    // The shared order is fitted too.
+    freedom = freedom.saturating_sub(usize::from(found.observed));
+    found.chi_squared = (freedom > 0).then(|| chi_squared / freedom as f64);
+    // Where values miss the power law by more than their errors, so does its limit.
+    let wider = found.chi_squared.map_or(1.0, |chi_squared| chi_squared.sqrt().max(1.0));
+    for row in rows.iter_mut() {
+        for error in [&mut row.extrapolated_standard_error, &mut row.grid_standard_error] {
+            *error = error.map(|error| wider * error);
+        }
+        let beyond = |(error, own): (f64, f64)| error.abs() > BEYOND * own;
+        found.beyond +=
+            usize::from(row.grid_error.zip(row.grid_standard_error).is_some_and(beyond));
+    }
+    Some(found)
 }
 
 impl fmt::Display for Grids {
@@ -197,23 +320,27 @@ impl fmt::Display for Grids {
             );
         }
         write!(f, "\n  grid errors beyond {BEYOND} standard errors: {beyond} of {rows}")?;
-        for found in &self.quantities {
-            // The closure that a run fits, and whatever stands out.
-            let closure = found.quantity == "drag_correction";
-            if !closure && 2 * found.beyond < found.rows {
-                continue;
-            }
+        // The closure that a run fits, and what stands out most.
+        let closure = |found: &Convergence| found.quantity == "drag_correction";
+        let share = |found: &Convergence| found.beyond as f64 / found.rows as f64;
+        let mut shown: Vec<&Convergence> = self.quantities.iter().collect();
+        shown.sort_by(|a, b| closure(b).cmp(&closure(a)).then(share(b).total_cmp(&share(a))));
+        for found in shown.into_iter().take(LINES) {
             write!(
                 f,
-                "\n  {:<36} {} of {}, median {:.1} % ({} order {:.2}{})",
+                "\n  {:<36} {} of {}, median {:.1} % ({} order {:.2}{}{})",
                 found.quantity,
                 found.beyond,
                 found.rows,
                 100.0 * found.relative,
                 if found.observed { "observed" } else { "stated" },
                 found.order,
+                found.order_standard_error.map_or(String::new(), |error| format!(" ± {error:.2}")),
                 found.chi_squared.map_or(String::new(), |chi| format!(", χ² {chi:.2} a freedom"))
             )?;
+        }
+        if self.quantities.len() > LINES {
+            write!(f, "\n  (the quantities with most; run.json has all)")?;
         }
         Ok(())
     }
@@ -257,11 +384,20 @@ mod tests {
         assert_eq!(grids.cells.iter().map(|cell| cell.1).collect::<Vec<_>>(), [1, 1, 1]);
         assert!((grids.cells[0].0 - 0.001).abs() < 1e-12 && grids.same_boxes);
         let slip = grids.quantities.iter().find(|q| q.quantity == "slip").unwrap();
-        assert!(slip.observed && (slip.order - order).abs() < 0.15, "{slip:?}");
+        let error = slip.order_standard_error.unwrap();
+        assert!(slip.observed && (0.01..0.15).contains(&error), "{slip:?}");
+        assert!((slip.order - order).abs() < 3.0 * error, "{slip:?}");
         assert!((0.2..3.0).contains(&slip.chi_squared.unwrap()), "{slip:?}");
-        assert!(slips(&found).len() >= 6 && slips(&found).len() == slip.rows);
-        let stated = pool(runs().to_vec(), Some(order));
-        let rows = slips(&stated);
+        let rows = slips(&found);
+        assert!(rows.len() >= 6 && rows.len() == slip.rows);
+        // An order that is found adds to the error of a limit.
+        let stated = pool(runs().to_vec(), Some(slip.order));
+        let errors = |rows: &[&BinRow]| -> Vec<f64> {
+            rows.iter().map(|row| row.grid_standard_error.unwrap()).collect()
+        };
+        let growth =
+            errors(&rows).iter().zip(errors(&slips(&stated))).map(|(a, b)| a / b).sum::<f64>();
+        assert!(growth > 1.2 * rows.len() as f64, "{growth}");
         let planted_error = 0.4 * 0.25f64.powf(order);
         let within = |row: &&&BinRow| {
             let error = row.grid_error.unwrap() - planted_error;
@@ -282,7 +418,10 @@ mod tests {
         assert_eq!(values(&alone.bins), values(&found.bins));
         let said = found.summary().to_string();
         assert!(said.contains("3 grids, cells of 1.0000 mm, 2.0000 mm, 4.0000 mm"), "{said}");
-        assert!(said.contains("\n  slip ") && said.contains("observed order 1."), "{said}");
+        assert!(
+            said.contains("\n  drag_correction ") && said.contains("run.json has all"),
+            "{said}"
+        );
     }
 
     #[test]
