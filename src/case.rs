@@ -253,12 +253,15 @@ pub enum FrictionChoice {
     SrivastavaSundaresan,
 }
 
-/// `with_friction!(choice, R, powder, |friction| expression)`, as [`with_drag`].
+/// `with_friction!(choice, R, powder, u_t, |friction| expression)`, as [`with_drag`].
 macro_rules! with_friction {
-    ($choice:expr, $real:ty, $powder:expr, |$friction:ident| $then:expr) => {
+    ($choice:expr, $real:ty, $powder:expr, $terminal_velocity:expr, |$friction:ident| $then:expr) => {
         match $choice {
             $crate::case::FrictionChoice::Barrier => {
-                let $friction = $crate::laws::friction::PackingBarrier::<$real>::new($powder);
+                let $friction = $crate::laws::friction::PackingBarrier::<$real>::new(
+                    $powder,
+                    $terminal_velocity,
+                );
                 $then
             }
             $crate::case::FrictionChoice::None => {
@@ -289,7 +292,7 @@ pub enum GranularEnergyChoice {
     /// Its balance equation is solved.
     Transport,
     /// What makes it and what dissipates it balance in each cell, as of
-    /// [`balanced_temperature`](crate::laws::kinetic_theory::balanced_temperature): neither the
+    /// [`balanced_speed`](crate::laws::kinetic_theory::balanced_speed): neither the
     /// solids nor conduction carry it, and none is kept. Shear and compression heat by the
     /// temperature of the step before.
     Algebraic,
