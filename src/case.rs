@@ -1104,6 +1104,15 @@ precision = "f64"
         }
         let stray = problem(markers, &format!("{markers}\nslip_edges = [0, 1]"));
         assert!(stray.why.contains("\"slip\" is no marker"), "{}", stray.why);
+        let many = "markers = [\"solids_fraction\", \"slip\", \"shear_rate\"]\n\
+                    solids_fraction_bin = 0.0005\nslip_bin = \"0.01 u_t\"";
+        let from = format!("{markers}\nsolids_fraction_bin = 0.02\nslip_bin = \"0.25 u_t\"");
+        let many = problem(&from, many);
+        assert!(
+            many.key.contains("markers") && many.why.contains("at most 1000000"),
+            "{}",
+            many.why
+        );
         let four = "[\"solids_fraction\", \"slip\", \"shear_rate\", \"slip_speed\"]";
         assert!(problem("[\"solids_fraction\"]", four).why.contains("at most three"));
     }
