@@ -80,6 +80,20 @@ Read are .vti .vtr .vtu .vtp (.pvd), .npy .npz, .csv, OpenFOAM cases and time fo
 
 Exit status: 0 done, 1 failed, 2 misuse, 130 interrupted.";
 
+const MODELS_EXAMPLES: &str = "\
+Examples:
+  favre models list
+  favre models show milioli-2013                    its file: formulae, ranges, source, choices
+  favre models eval igci-sundaresan-2011-3d --phi 0.05,0.1,0.2 --filter 2,4
+  favre models eval milioli-2013 --phi 0.1 --filter 4 --slip 1.5
+  favre models eval milioli-2013 --stdin < points   a row of markers a line, a value a line
+  favre models compare default sarkar-2016 --bins favre-out/default/bins.csv
+  favre models check my-closure.toml                a linter, for any closure
+
+NAME is one that `list` shows or the path of a file: a closure, or the model.toml of a run.
+
+Exit status: 0 done, 1 a check found a fault, 2 misuse.";
+
 const STABILITY_EXAMPLES: &str = "\
 Examples:
   favre stability my-powder.toml            table and figure go to favre-out/my-powder-stability
@@ -105,6 +119,8 @@ pub enum Command {
     Simulate(Run),
     /// Bin fields on disk, one's own or anyone's, or put runs together from their sums
     Filter(Filter),
+    /// Closures, published and one's own: list, show, evaluate, compare, check
+    Models(Models),
     /// Growth of waves on a case's uniform state, and the grid and box they ask for
     Stability(Stability),
     /// Measure how fast this machine runs the kernels
@@ -181,6 +197,121 @@ pub struct Filter {
     #[arg(long, short)]
     pub quiet: bool,
     /// Print what was found as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `favre models`.
+#[derive(Args, Debug)]
+#[command(after_help = MODELS_EXAMPLES)]
+pub struct Models {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: ModelsCommand,
+}
+
+/// The commands of `favre models`.
+#[derive(Debug, Subcommand)]
+pub enum ModelsCommand {
+    /// The closures that come with favre
+    List {
+        /// Print them as JSON
+        #[arg(long)]
+        json: bool,
+    },
+    /// The file of a closure, with its source, choices and formulae; its test vectors counted
+    Show {
+        /// Name or file
+        #[arg(value_name = "NAME")]
+        name: String,
+        /// Print the whole file, test vectors and all
+        #[arg(long)]
+        all: bool,
+    },
+    /// The value at points: all combinations of what is given, or a row a line from stdin
+    Eval(Eval),
+    /// Closures beside each other, and beside bins: a table, figures and scores
+    Compare(Compare),
+    /// Look for faults: jumps, limits, bounds, exponents, scales, ranges, test vectors
+    Check {
+        /// Names or files; none: all that come with favre
+        #[arg(value_name = "NAME")]
+        names: Vec<String>,
+        /// Only what is not fine
+        #[arg(long, short)]
+        quiet: bool,
+        /// Print the findings as JSON
+        #[arg(long)]
+        json: bool,
+    },
+}
+
+/// `favre models eval`.
+#[derive(Args, Debug)]
+pub struct Eval {
+    /// Name or file
+    #[arg(value_name = "NAME")]
+    pub name: String,
+    /// What to evaluate, if the closure has several quantities [default: its first]
+    #[arg(long, value_name = "QUANTITY")]
+    pub quantity: Option<String>,
+    /// Filtered solids fractions
+    #[arg(long, value_name = "PHI", value_delimiter = ',', allow_hyphen_values = true)]
+    pub phi: Vec<f64>,
+    /// Filter widths over the closure's reference length
+    #[arg(long, value_name = "D", value_delimiter = ',', allow_hyphen_values = true)]
+    pub filter: Vec<f64>,
+    /// Filtered slip speeds over u_t
+    #[arg(long, value_name = "V", value_delimiter = ',', allow_hyphen_values = true)]
+    pub slip: Vec<f64>,
+    /// Shear rates times u_t/g, of the phase that the quantity needs
+    #[arg(long, value_name = "S", value_delimiter = ',', allow_hyphen_values = true)]
+    pub shear: Vec<f64>,
+    /// Distances from the wall times g/u_t^2
+    #[arg(long, value_name = "X", value_delimiter = ',', allow_hyphen_values = true)]
+    pub wall: Vec<f64>,
+    /// Filtered pressure gradients over rho_s g
+    #[arg(long, value_name = "G", value_delimiter = ',', allow_hyphen_values = true)]
+    pub gradient: Vec<f64>,
+    /// Read points from stdin: a line each, markers in the order of `show`, commas or blanks between
+    #[arg(long, conflicts_with_all = ["phi", "filter", "slip", "shear", "wall", "gradient", "json"])]
+    pub stdin: bool,
+    /// With --stdin: doubles instead of text, in and out, little-endian
+    #[arg(long, requires = "stdin")]
+    pub binary: bool,
+    /// Print the rows as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `favre models compare`.
+#[derive(Args, Debug)]
+pub struct Compare {
+    /// Names or files
+    #[arg(value_name = "NAME", required = true)]
+    pub names: Vec<String>,
+    /// What to compare
+    #[arg(long, value_name = "QUANTITY", default_value = "drag_correction")]
+    pub quantity: String,
+    /// A bin table to draw with its intervals and to score against
+    #[arg(long, value_name = "BINS.csv")]
+    pub bins: Option<PathBuf>,
+    /// Filter widths over L_I [default: those of the bins, else 2, 4, 8]
+    #[arg(long, value_name = "D", value_delimiter = ',')]
+    pub filter: Vec<f64>,
+    /// Slip over u_t of the curves; against bins each bin's own is taken
+    #[arg(long, value_name = "V", default_value = "1")]
+    pub slip: f64,
+    /// Shear rate times u_t/g of the curves; likewise
+    #[arg(long, value_name = "S", default_value = "1")]
+    pub shear: f64,
+    /// Folder for the table and the figures [default: favre-out/compare]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Replace earlier results, once the new ones are complete
+    #[arg(long)]
+    pub force: bool,
+    /// Print the comparison as JSON
     #[arg(long)]
     pub json: bool,
 }

@@ -4,6 +4,7 @@
 //! colour-blind readers.
 
 use crate::bench::error::{Group, QUANTITIES, Report};
+use crate::compare::{Comparison, Panel};
 use crate::fit::ReferenceLength;
 use crate::forms::Marker;
 use crate::model::Model;
@@ -134,6 +135,62 @@ pub fn closure_figure(rows: &[BinRow], model: &Model) -> Figure {
         .with_y_tick_step(0.2)
         .with_x_tick_format(TickFormat::Fixed(1))
         .with_y_tick_format(TickFormat::Fixed(1))
+        .with_legend_entries(entries)
+        .with_legend_position(LegendPosition::OutsideRightTop)
+        .with_legend_box(false);
+    Figure { scene: render_multiple(plots, layout) }
+}
+
+/// Closures at one filter width over solids fraction, one colour each, and bins of that width with
+/// their 95 % intervals.
+pub fn comparison_figure(comparison: &Comparison, panel: &Panel) -> Figure {
+    let mut plots = Vec::new();
+    let mut entries = Vec::new();
+    for (i, (name, curve)) in comparison.closures.iter().zip(&panel.curves).enumerate() {
+        let colour = COLOURS[i % COLOURS.len()];
+        // More closures than colours: the second round is dashed.
+        let dashed = i >= COLOURS.len();
+        let points = panel.fractions.iter().copied().zip(curve.iter().copied());
+        let points = points.filter(|(_, value)| value.is_finite());
+        let line = LinePlot::new().with_data(points).with_color(colour).with_stroke_width(2.0);
+        plots.push(Plot::Line(if dashed { line.with_dashed() } else { line }));
+        entries.push(LegendEntry {
+            label: name.clone(),
+            color: colour.into(),
+            shape: LegendShape::Line,
+            dasharray: dashed.then(|| "8 4".into()),
+        });
+    }
+    let bins: Vec<[f64; 4]> =
+        panel.bins.iter().copied().filter(|bin| bin.iter().all(|x| x.is_finite())).collect();
+    if !bins.is_empty() {
+        plots.push(Plot::Scatter(
+            ScatterPlot::new()
+                .with_data(bins.iter().map(|[phi, value, ..]| (*phi, *value)))
+                .with_y_err_asymmetric(bins.iter().map(|[_, v, low, high]| (v - low, high - v)))
+                .with_color("#444444")
+                .with_size(3.5),
+        ));
+        entries.push(LegendEntry {
+            label: "bins".into(),
+            color: "#444444".into(),
+            shape: LegendShape::Circle,
+            dasharray: None,
+        });
+    }
+    let curves = panel.curves.iter().flatten().copied().filter(|value| value.is_finite());
+    let values = curves.chain(bins.iter().map(|bin| bin[1]));
+    let (low, high) = values.fold((0.0f64, 0.0f64), |(a, b), x| (a.min(x), b.max(x)));
+    let unit = &comparison.unit;
+    let layout = frame(Layout::auto_from_plots(&plots), 860.0, 500.0)
+        .with_title(format!("filter width {} L_I", significant(panel.filter_width)))
+        .with_title_size(15)
+        .with_x_label("filtered solids fraction φ [-]")
+        .with_y_label(format!("{} [{unit}]", comparison.quantity.replace('_', " ")))
+        .with_x_axis_min(0.0)
+        .with_x_axis_max(0.65)
+        .with_y_axis_min(1.05 * low)
+        .with_y_axis_max(if high > low { 1.05 * high } else { 1.0 })
         .with_legend_entries(entries)
         .with_legend_position(LegendPosition::OutsideRightTop)
         .with_legend_box(false);

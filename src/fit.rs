@@ -276,6 +276,12 @@ pub fn fit(
                 let low = if narrowest < widest { 0.0 } else { narrowest };
                 ValidRange { marker, low, high: widest }
             }
+            marker => {
+                let values = used.iter().map(|row| marker_of(row, marker, reference_length));
+                let ends = (f64::INFINITY, f64::NEG_INFINITY);
+                let (low, high) = values.fold(ends, |(a, b), x| (a.min(x), b.max(x)));
+                ValidRange { marker, low, high }
+            }
         })
         .collect();
 
@@ -316,11 +322,15 @@ pub fn fit(
     Ok(Fit { form, reference_length, coefficients, covariance, ranges, goodness, notes })
 }
 
-/// The value of a marker in a row.
-fn marker_of(row: &BinRow, marker: Marker, reference_length: ReferenceLength) -> f64 {
+/// The value of a marker in a row, scaled; NaN for one that a bin table does not have.
+pub fn marker_of(row: &BinRow, marker: Marker, reference_length: ReferenceLength) -> f64 {
     match marker {
         Marker::SolidsFraction => row.solids_fraction,
         Marker::FilterWidth => reference_length.scaled_width(row),
+        Marker::Slip => row.slip_speed,
+        Marker::ShearRate => row.shear_rate,
+        Marker::PressureGradient => row.pressure_gradient,
+        Marker::GasShearRate | Marker::WallDistance => f64::NAN,
     }
 }
 

@@ -7,13 +7,52 @@
 use serde::{Deserialize, Serialize};
 
 /// What a coarse solver knows in a cell and a closure depends on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Marker {
     /// Filtered solids fraction φ [-].
     SolidsFraction,
     /// Filter width over the model's reference length, Δ_f/L [-].
     FilterWidth,
+    /// Filtered slip speed over u_t [-].
+    Slip,
+    /// Shear rate of the filtered solids velocity, S u_t/g [-], S = √(2 Sd:Sd).
+    ShearRate,
+    /// The same of the filtered gas velocity [-].
+    GasShearRate,
+    /// Distance from the wall times g/u_t² [-].
+    WallDistance,
+    /// Vertical filtered pressure gradient over ρ_s g [-].
+    PressureGradient,
+}
+
+/// All markers, each with its name in files and its symbol in formulae.
+pub const MARKERS: [(Marker, &str, &str); 7] = [
+    (Marker::SolidsFraction, "solids_fraction", "phi"),
+    (Marker::FilterWidth, "filter_width", "D"),
+    (Marker::Slip, "slip", "V"),
+    (Marker::ShearRate, "shear_rate", "S"),
+    (Marker::GasShearRate, "gas_shear_rate", "S_g"),
+    (Marker::WallDistance, "wall_distance", "X"),
+    (Marker::PressureGradient, "pressure_gradient", "G"),
+];
+
+impl Marker {
+    /// Its symbol in formulae.
+    pub fn symbol(self) -> &'static str {
+        MARKERS[self as usize].2
+    }
+
+    /// The marker of a symbol.
+    pub fn of_symbol(symbol: &str) -> Option<Self> {
+        MARKERS.iter().find(|(_, _, known)| *known == symbol).map(|(marker, ..)| *marker)
+    }
+}
+
+impl std::fmt::Display for Marker {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(MARKERS[*self as usize].1)
+    }
 }
 
 /// Open interval in which a parameter lies, by construction of the form.
@@ -88,6 +127,10 @@ pub trait ClosureForm: std::fmt::Debug + Sync {
     /// The formula, in the symbols of the parameters and markers.
     fn formula(&self) -> &'static str;
 
+    /// The formula in the language of [`Expression`](crate::expression::Expression), the parameters by
+    /// their symbols: what an export is made from.
+    fn expression(&self) -> &'static str;
+
     /// Quantity that the form describes, as in the bin table.
     fn quantity(&self) -> &'static str;
 
@@ -159,6 +202,11 @@ impl ClosureForm for SaturatingDrag {
     fn formula(&self) -> &'static str {
         "H = H_inf * D^p/(D^p + D_h^p) * (1 - exp(-phi/phi_r)) * (1 - (phi/phi_c)^m); \
          H = 0 for phi >= phi_c; D = filter_width/L"
+    }
+
+    fn expression(&self) -> &'static str {
+        "piecewise(phi <= 0, 0, D <= 0, 0, phi >= phi_c, 0, \
+         H_inf/(1 + (D_h/D)^p) * (1 - exp(-phi/phi_r)) * (1 - (phi/phi_c)^m))"
     }
 
     fn quantity(&self) -> &'static str {
@@ -321,6 +369,16 @@ mod tests {
                     gradient[k]
                 );
             }
+        }
+    }
+
+    #[test]
+    fn markers_stand_in_their_own_order() {
+        for (i, (marker, name, symbol)) in MARKERS.into_iter().enumerate() {
+            assert_eq!(marker as usize, i);
+            assert_eq!((marker.to_string().as_str(), marker.symbol()), (name, symbol));
+            assert_eq!(Marker::of_symbol(symbol), Some(marker));
+            assert_eq!(serde_json::to_string(&marker).unwrap(), format!("\"{name}\""));
         }
     }
 

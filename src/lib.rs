@@ -15,6 +15,7 @@ pub mod stencil;
 pub mod laws;
 pub mod two_fluid;
 
+pub mod expression;
 pub mod fine;
 pub mod lanes;
 
@@ -33,8 +34,11 @@ pub mod statistics;
 pub mod stored;
 pub mod sums;
 
+pub mod closure;
+pub mod compare;
 pub mod fit;
 pub mod forms;
+pub mod lint;
 pub mod model;
 pub mod table;
 

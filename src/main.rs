@@ -2,6 +2,7 @@
 
 mod cli;
 mod interrupt;
+mod models;
 
 use std::error::Error;
 use std::fmt::Display;
@@ -52,6 +53,7 @@ fn main() -> ExitCode {
         Some(Command::Run(args)) => run(&args, "run"),
         Some(Command::Simulate(args)) => run(&args, "simulate"),
         Some(Command::Filter(args)) => filter(&args),
+        Some(Command::Models(args)) => models::models(&args),
         Some(Command::Stability(args)) => stability(&args),
         Some(Command::Bench(args)) => bench(&args),
         Some(Command::Verify(args)) => verify(&args),

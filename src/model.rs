@@ -58,6 +58,8 @@ pub struct Model {
 pub enum Outside {
     /// Each marker is moved to the nearest end of its range.
     Clamp,
+    /// The formula is taken as it stands, which says what it gives there.
+    Formula,
 }
 
 /// Where a model comes from: a run, or a publication.
@@ -476,8 +478,8 @@ impl Model {
 
     /// Whether a point lies inside the valid ranges.
     pub fn is_inside(&self, solids_fraction: f64, filter_width_scaled: f64) -> bool {
-        self.clamped(solids_fraction, filter_width_scaled)
-            == self.markers(solids_fraction, filter_width_scaled)
+        let markers = self.markers(solids_fraction, filter_width_scaled);
+        self.ranges.iter().zip(markers).all(|(range, x)| (range.low..=range.high).contains(&x))
     }
 
     /// Ends of the valid range of a marker; everything if the form does not have it.
@@ -498,6 +500,8 @@ impl Model {
             .map(|range| match range.marker {
                 Marker::SolidsFraction => solids_fraction,
                 Marker::FilterWidth => filter_width_scaled,
+                // Loading refuses a range of a marker that the form does not have.
+                _ => f64::NAN,
             })
             .collect()
     }
@@ -505,7 +509,9 @@ impl Model {
     fn clamped(&self, solids_fraction: f64, filter_width_scaled: f64) -> Vec<f64> {
         let mut markers = self.markers(solids_fraction, filter_width_scaled);
         for (marker, range) in markers.iter_mut().zip(&self.ranges) {
-            *marker = marker.clamp(range.low, range.high);
+            if self.outside == Outside::Clamp {
+                *marker = marker.clamp(range.low, range.high);
+            }
         }
         markers
     }
@@ -698,7 +704,10 @@ pub(crate) mod tests {
         assert!(unknown.contains("unknown field `beyond`"), "{unknown}");
         assert!(unknown.contains("line 7"), "{unknown}");
         let behaviour = swap("outside = \"clamp\"", "outside = \"hope\"");
-        assert!(behaviour.contains("unknown variant `hope`, expected `clamp`"), "{behaviour}");
+        assert!(
+            behaviour.contains("unknown variant `hope`, expected `clamp` or `formula`"),
+            "{behaviour}"
+        );
         assert_eq!(
             swap("predicts = \"drag_correction\"", "predicts = \"slip\""),
             "model.toml: predicts is \"slip\", but the form `saturating_drag` needs \

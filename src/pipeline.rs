@@ -2,6 +2,7 @@
 //! [`fields::filter`] from fields on disk.
 
 pub mod fields;
+pub mod models;
 
 use crate::bench;
 use crate::case::{Case, Precision};

@@ -6,7 +6,6 @@
 //! for many files in the order of time. [`write`](mod@write) writes what the filter was given in flight, in double precision, so
 //! that bins from disk are those of the flight.
 
-pub mod expression;
 pub mod map;
 pub mod numpy;
 pub mod openfoam;

@@ -52,11 +52,11 @@
 //! has its components in VTK's order: xx, yy, zz, xy, yz, xz. `trust = true` at the top takes values
 //! that are possible but not plausible.
 
-use super::expression::Expression;
 use super::numpy::Layout;
 use super::particles::{DepositKernel, Particles, deposit};
 use super::{AXES, Columns, Lattice, Piece, Resolved, ResolvedError};
 use crate::case::{Case, CaseError};
+use crate::expression::Expression;
 use crate::stored::{Pressure, StoredFields};
 use serde::Deserialize;
 use std::fs;

@@ -1,0 +1,587 @@
+//! [`Closure`]: any closure, published or fitted, as formulae of markers.
+//!
+//! A closure file is data: constants, formulae in the language of [`Expression`], and for each
+//! quantity its markers with their ranges and test vectors. A model.toml of a fit ([`Model`]) is read
+//! as such too. What the crate ships is in [`BUILT_IN`]; a path to a file stands wherever a name does.
+//!
+//! | marker | in formulae | what it is |
+//! | --- | --- | --- |
+//! | `solids_fraction` | `phi` | filtered solids fraction |
+//! | `filter_width` | `D` | Δ_f over the reference length |
+//! | `slip` | `V` | filtered slip speed / u_t |
+//! | `shear_rate` | `S` | S u_t/g of the filtered solids velocity, S = √(2 Sd:Sd) |
+//! | `gas_shear_rate` | `S_g` | the same of the filtered gas velocity |
+//! | `wall_distance` | `X` | distance from the wall × g/u_t² |
+//! | `pressure_gradient` | `G` | vertical filtered pressure gradient / (ρ_s g) |
+//!
+//! Values are scaled; the unit of a quantity says by what.
+
+use crate::expression::{Expression, Meaning, Program};
+use crate::fit::{ReferenceLength, ValidRange};
+use crate::forms::{self, Marker};
+use crate::model::{Definitions, Model, ModelError, Outside, System};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+
+/// A closure file. The fields are its keys.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClosureFile {
+    /// Name.
+    pub name: String,
+    /// One line for a list.
+    pub title: String,
+    /// Whether all of the publication is there.
+    pub status: Status,
+    /// What a partial closure lacks, one sentence each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub missing: Vec<String>,
+    /// What Δ_f is scaled by.
+    pub reference_length: ReferenceLength,
+    /// What happens outside the ranges.
+    pub outside: Outside,
+    /// What a user must know, one sentence each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
+    /// Where it comes from.
+    pub source: Provenance,
+    /// Definitions used.
+    pub definitions: Definitions,
+    /// Powder and gas that it was found for; none if the source does not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub system: Option<System>,
+    /// Named numbers in its formulae.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub constants: BTreeMap<String, f64>,
+    /// Named formulae in its formulae.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub formulae: BTreeMap<String, String>,
+    /// What it predicts.
+    #[serde(default)]
+    pub quantities: Vec<QuantityFile>,
+    /// What is wrong with the publication itself and is left as it is.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub known_flaws: Vec<KnownFlaw>,
+}
+
+/// Whether all of a publication is there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Status {
+    /// Every coefficient is known.
+    Full,
+    /// Something is missing or uncertain; `missing` says what.
+    Partial,
+}
+
+/// Where a closure comes from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Provenance {
+    /// Publication or run.
+    pub reference: String,
+    /// The text or code that the coefficients were read from.
+    pub read_from: String,
+    /// Where sources disagree: which was taken and why, one sentence each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub choices: Vec<String>,
+}
+
+/// One quantity as in a file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct QuantityFile {
+    /// What is predicted; in the words of the bin table where it has the quantity.
+    pub predicts: String,
+    /// What a value is scaled by; `-` for a number.
+    pub unit: String,
+    /// Formula of the markers.
+    pub formula: String,
+    /// Exponents of markers that the source states for the whole formula, as formulae: `"16/7"`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub exponents: BTreeMap<Marker, String>,
+    /// Valid range of each marker that the formula depends on.
+    pub ranges: Vec<ValidRange>,
+    /// Points and the values there, computed without this crate.
+    pub test_vectors: Vec<Vector>,
+}
+
+/// A point and the value that any implementation must give there.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Vector {
+    /// Value of each marker.
+    pub at: BTreeMap<Marker, f64>,
+    /// Expected value.
+    pub expected: f64,
+}
+
+/// A flaw of the publication, which `check` finds and does not hold against the file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct KnownFlaw {
+    /// Name of the check that finds it.
+    pub check: String,
+    /// Quantity.
+    pub quantity: String,
+    /// Where: values of the marker at which it was seen; empty: anywhere.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub at: Vec<f64>,
+    /// Its size at most, as the check measures it.
+    pub largest: f64,
+    /// Why it stands.
+    pub reason: String,
+}
+
+/// A closure that was read and compiled.
+#[derive(Clone, Debug)]
+pub struct Closure {
+    /// What its file says.
+    pub file: ClosureFile,
+    /// Its quantities.
+    pub quantities: Vec<Quantity>,
+    formulae: BTreeMap<String, Expression>,
+}
+
+/// A quantity that was compiled.
+#[derive(Clone, Debug)]
+pub struct Quantity {
+    /// What its file says.
+    pub file: QuantityFile,
+    /// Its formula as a tree, with the names of the closure's constants and formulae.
+    pub formula: Expression,
+    outside: Outside,
+    program: Program,
+}
+
+/// A closure that cannot be used.
+#[derive(Debug, Error)]
+pub enum ClosureError {
+    /// Neither a name nor a file.
+    #[error("there is no closure named {name}, and no such file; known: {known}{}", near(.nearest))]
+    Unknown {
+        /// What was given.
+        name: String,
+        /// Names.
+        known: String,
+        /// The nearest name.
+        nearest: Option<String>,
+    },
+    /// The file cannot be read.
+    #[error("{path}: {source}")]
+    Unreadable {
+        /// File.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// Not TOML, an unknown or missing key, a value of the wrong kind.
+    #[error("{path}: {source}")]
+    Invalid {
+        /// File.
+        path: PathBuf,
+        /// What the parser says, with line and column.
+        source: Box<toml::de::Error>,
+    },
+    /// A model.toml of a fit is wrong.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// Something in the file makes no sense.
+    #[error("{path}: {place}: {why}")]
+    Wrong {
+        /// File.
+        path: PathBuf,
+        /// Key.
+        place: String,
+        /// What is wrong and what would be right.
+        why: String,
+    },
+}
+
+fn near(nearest: &Option<String>) -> String {
+    nearest.as_ref().map(|name| format!("; did you mean {name}?")).unwrap_or_default()
+}
+
+macro_rules! built_in {
+    ($($name:literal),* $(,)?) => {
+        /// Closures that the crate ships: name and file.
+        pub const BUILT_IN: &[(&str, &str)] =
+            &[$(($name, include_str!(concat!("../models/", $name, ".toml")))),*];
+    };
+}
+
+built_in!(
+    "default",
+    "igci-sundaresan-2011-2d",
+    "igci-sundaresan-2011-3d",
+    "milioli-2013",
+    "milioli-2013-extended",
+    "sarkar-2016",
+    "sarkar-2016-simplified",
+    "sarkar-2016-stress",
+    "radl-sundaresan-2014",
+    "schneiderbauer-pirker-2014",
+    "cloete-2018",
+    "parmentier-2012",
+);
+
+/// More characters than this in all formulae together are a mistake.
+const LONGEST: usize = 100_000;
+
+impl Closure {
+    /// The closure named `name`, or the one in the file of that path.
+    ///
+    /// # Errors
+    /// [`ClosureError`].
+    pub fn find(name: &str) -> Result<Self, ClosureError> {
+        if let Some((known, text)) = BUILT_IN.iter().find(|(known, _)| *known == name) {
+            return Self::parse(text, Path::new(&format!("models/{known}.toml")));
+        }
+        let path = Path::new(name);
+        if !path.is_file() && path.extension().is_none() && !name.contains('/') {
+            let names = BUILT_IN.iter().map(|(name, _)| *name);
+            let nearest = names
+                .clone()
+                .map(|known| (strsim::normalized_damerau_levenshtein(known, name), known))
+                .filter(|(likeness, _)| *likeness > 0.4)
+                .max_by(|a, b| a.0.total_cmp(&b.0))
+                .map(|(_, known)| known.to_owned());
+            let known = names.collect::<Vec<_>>().join(", ");
+            return Err(ClosureError::Unknown { name: name.into(), known, nearest });
+        }
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ClosureError::Unreadable { path: path.into(), source })?;
+        Self::parse(&text, path)
+    }
+
+    /// Reads and compiles the text of a closure file or of a fit's model.toml; `path` names it in
+    /// errors. Test vectors are not compared: that is what the check is for.
+    ///
+    /// # Errors
+    /// [`ClosureError`].
+    pub fn parse(text: &str, path: &Path) -> Result<Self, ClosureError> {
+        let invalid = |e| ClosureError::Invalid { path: path.into(), source: Box::new(e) };
+        let table: toml::Table = toml::from_str(text).map_err(invalid)?;
+        if table.contains_key("form") {
+            return Self::fitted(&Model::parse(text, path)?, path);
+        }
+        Self::compile(toml::from_str(text).map_err(invalid)?, path)
+    }
+
+    /// A fitted model as a closure.
+    fn fitted(model: &Model, path: &Path) -> Result<Self, ClosureError> {
+        let form = forms::form(&model.form).expect("loading refuses unknown forms");
+        let constants = model.coefficients.iter().map(|c| (c.symbol.clone(), c.value)).collect();
+        let test_vectors = model
+            .test_vectors
+            .iter()
+            .map(|v| Vector {
+                at: BTreeMap::from([
+                    (Marker::SolidsFraction, v.solids_fraction),
+                    (Marker::FilterWidth, v.filter_width),
+                ]),
+                expected: v.expected,
+            })
+            .collect();
+        let quantity = QuantityFile {
+            predicts: model.predicts.clone(),
+            unit: model.unit.clone(),
+            formula: form.expression().into(),
+            exponents: BTreeMap::new(),
+            ranges: model.ranges.clone(),
+            test_vectors,
+        };
+        let file = ClosureFile {
+            name: model.name.clone(),
+            title: format!(
+                "fitted by Favre to {} bins, R² = {:.3}",
+                model.goodness.points, model.goodness.r_squared
+            ),
+            status: Status::Full,
+            missing: Vec::new(),
+            reference_length: model.reference_length,
+            outside: model.outside,
+            notes: model.notes.clone(),
+            source: Provenance {
+                reference: format!("run {}", model.source.reference),
+                read_from: format!("fit by favre {}", model.source.version),
+                choices: Vec::new(),
+            },
+            definitions: model.definitions.clone(),
+            system: Some(model.system),
+            constants,
+            formulae: BTreeMap::new(),
+            quantities: vec![quantity],
+            known_flaws: Vec::new(),
+        };
+        Self::compile(file, path)
+    }
+
+    fn compile(file: ClosureFile, path: &Path) -> Result<Self, ClosureError> {
+        let wrong = |place: &str, why: String| ClosureError::Wrong {
+            path: path.into(),
+            place: place.into(),
+            why,
+        };
+        let quantities = file.quantities.iter().map(|quantity| quantity.formula.len());
+        let length: usize = file.formulae.values().map(String::len).chain(quantities).sum();
+        if length > LONGEST {
+            let why = format!("{length} characters, more than {LONGEST}");
+            return Err(wrong("formulae", why));
+        }
+        if file.status == Status::Partial && file.missing.is_empty() {
+            return Err(wrong("missing", "a partial closure says what it lacks".into()));
+        }
+        for name in file.constants.keys().chain(file.formulae.keys()) {
+            if Marker::of_symbol(name).is_some() {
+                let why = format!("`{name}` is the name of a marker; choose another");
+                return Err(wrong("constants and formulae", why));
+            }
+            if file.constants.contains_key(name) && file.formulae.contains_key(name) {
+                return Err(wrong(&format!("formulae.{name}"), "is a constant too".into()));
+            }
+        }
+        let mut formulae = BTreeMap::new();
+        for (name, text) in &file.formulae {
+            let formula =
+                Expression::parse(text).map_err(|why| wrong(&format!("formulae.{name}"), why))?;
+            formulae.insert(name.clone(), formula);
+        }
+        let mut quantities: Vec<Quantity> = Vec::new();
+        for quantity in &file.quantities {
+            let place = format!("quantity {}", quantity.predicts);
+            if quantities.iter().any(|other| other.file.predicts == quantity.predicts) {
+                return Err(wrong(&place, "is given twice".into()));
+            }
+            let formula = Expression::parse(&quantity.formula).map_err(|why| wrong(&place, why))?;
+            let program = compiled(&formula, &quantity.ranges, &file.constants, &formulae)
+                .map_err(|why| wrong(&place, why))?;
+            check_ranges(quantity).map_err(|why| wrong(&place, why))?;
+            quantities.push(Quantity {
+                file: quantity.clone(),
+                formula,
+                outside: file.outside,
+                program,
+            });
+        }
+        Ok(Self { file, quantities, formulae })
+    }
+
+    /// The quantity named `name`, or the first one.
+    pub fn quantity(&self, name: Option<&str>) -> Option<&Quantity> {
+        self.quantities.iter().find(|q| name.is_none_or(|name| q.file.predicts == name))
+    }
+
+    /// The named formula, as a tree.
+    pub fn formula(&self, name: &str) -> Option<&Expression> {
+        self.formulae.get(name)
+    }
+
+    /// A formula of this closure, compiled for the markers of `quantity`.
+    ///
+    /// # Errors
+    /// As for [`Program::compile`].
+    pub fn program(&self, formula: &Expression, quantity: &Quantity) -> Result<Program, String> {
+        compiled(formula, &quantity.file.ranges, &self.file.constants, &self.formulae)
+    }
+}
+
+fn compiled(
+    formula: &Expression,
+    ranges: &[ValidRange],
+    constants: &BTreeMap<String, f64>,
+    formulae: &BTreeMap<String, Expression>,
+) -> Result<Program, String> {
+    Program::compile(formula, ranges.len(), &|name| {
+        if let Some(at) = ranges.iter().position(|range| range.marker.symbol() == name) {
+            return Some(Meaning::Input(at));
+        }
+        let constant = constants.get(name).map(|value| Meaning::Constant(*value));
+        constant.or_else(|| formulae.get(name).map(Meaning::Formula))
+    })
+    .map_err(|why| match why.split('`').nth(1).and_then(Marker::of_symbol) {
+        Some(marker) => format!("{why}: it is {marker}, which has no range here"),
+        None => why,
+    })
+}
+
+fn check_ranges(quantity: &QuantityFile) -> Result<(), String> {
+    for (i, range) in quantity.ranges.iter().enumerate() {
+        let marker = range.marker;
+        if quantity.ranges[..i].iter().any(|other| other.marker == marker) {
+            return Err(format!("{marker} has two ranges"));
+        }
+        let signed = marker == Marker::PressureGradient;
+        if !(range.low < range.high && (signed || range.low >= 0.0) && range.high.is_finite()) {
+            let (low, high) = (range.low, range.high);
+            return Err(format!("range of {marker}: {low} to {high}, low < high is needed"));
+        }
+    }
+    for (i, vector) in quantity.test_vectors.iter().enumerate() {
+        let markers = quantity.ranges.iter().map(|range| range.marker);
+        let given: Vec<Marker> = vector.at.keys().copied().collect();
+        let fits =
+            given.len() == quantity.ranges.len() && markers.clone().all(|m| given.contains(&m));
+        if !fits || vector.at.values().any(|x| !x.is_finite()) || !vector.expected.is_finite() {
+            let markers: Vec<String> = markers.map(|marker| marker.to_string()).collect();
+            return Err(format!(
+                "test vector {} needs a finite number for each of {}",
+                i + 1,
+                markers.join(", ")
+            ));
+        }
+    }
+    Ok(())
+}
+
+impl Quantity {
+    /// The markers, in the order in which [`evaluate`](Self::evaluate) takes them.
+    pub fn markers(&self) -> impl Iterator<Item = Marker> + '_ {
+        self.file.ranges.iter().map(|range| range.marker)
+    }
+
+    /// The value at one point; markers outside their ranges are moved as the file says.
+    pub fn at(&self, point: &[f64]) -> f64 {
+        let moved: Vec<f64> =
+            self.file.ranges.iter().zip(point).map(|(range, x)| self.moved(range, *x)).collect();
+        self.program.at(&moved)
+    }
+
+    /// The value at each of `out.len()` points; `markers` are columns of so many numbers.
+    ///
+    /// # Panics
+    /// Another number of markers, or columns of another length.
+    pub fn evaluate(&self, markers: &[&[f64]], out: &mut [f64]) {
+        if self.outside == Outside::Formula {
+            return self.program.evaluate(markers, out);
+        }
+        // In pieces, so that the moved copy stays in cache.
+        let mut moved: Vec<Vec<f64>> = vec![Vec::new(); markers.len()];
+        for (piece, out) in out.chunks_mut(PIECE).enumerate() {
+            for ((moved, column), range) in moved.iter_mut().zip(markers).zip(&self.file.ranges) {
+                let part = &column[piece * PIECE..][..out.len()];
+                moved.clear();
+                moved.extend(part.iter().map(|x| self.moved(range, *x)));
+            }
+            let moved: Vec<&[f64]> = moved.iter().map(|column| &column[..]).collect();
+            self.program.evaluate(&moved, out);
+        }
+    }
+
+    /// Whether a point lies inside the ranges.
+    pub fn is_inside(&self, point: &[f64]) -> bool {
+        self.file.ranges.iter().zip(point).all(|(r, x)| (r.low..=r.high).contains(x))
+    }
+
+    /// The point of a test vector, in the order of the markers.
+    pub fn point(&self, vector: &Vector) -> Vec<f64> {
+        self.markers().map(|marker| vector.at[&marker]).collect()
+    }
+
+    fn moved(&self, range: &ValidRange, x: f64) -> f64 {
+        match self.outside {
+            Outside::Clamp => x.clamp(range.low, range.high),
+            Outside::Formula => x,
+        }
+    }
+}
+
+/// Points that are moved into the ranges together.
+const PIECE: usize = 4096;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_shipped_loads_and_gives_its_test_vectors() {
+        for (name, _) in BUILT_IN {
+            let closure = Closure::find(name).unwrap();
+            assert_eq!(closure.file.name, *name);
+            let partial = closure.file.status == Status::Partial;
+            assert!(partial || !closure.quantities.is_empty(), "{name}");
+            for quantity in &closure.quantities {
+                let vectors = &quantity.file.test_vectors;
+                assert!(vectors.len() >= 4, "{name} {}", quantity.file.predicts);
+                let points: Vec<Vec<f64>> = vectors.iter().map(|v| quantity.point(v)).collect();
+                let columns: Vec<Vec<f64>> = (0..quantity.file.ranges.len())
+                    .map(|m| points.iter().map(|point| point[m]).collect())
+                    .collect();
+                let columns: Vec<&[f64]> = columns.iter().map(|column| &column[..]).collect();
+                let mut together = vec![0.0; vectors.len()];
+                quantity.evaluate(&columns, &mut together);
+                for ((vector, point), together) in vectors.iter().zip(&points).zip(together) {
+                    let found = quantity.at(point);
+                    let near =
+                        (found - vector.expected).abs() <= 1e-12 * vector.expected.abs().max(1.0);
+                    let predicts = &quantity.file.predicts;
+                    assert!(near, "{name} {predicts} {point:?}: {found}, not {}", vector.expected);
+                    assert_eq!(found.to_bits(), together.to_bits());
+                }
+            }
+        }
+    }
+
+    /// Bar 3: the default run's model as a closure is the model.
+    #[test]
+    fn a_fitted_model_is_the_same_closure() {
+        let text = BUILT_IN[0].1;
+        let model = Model::parse(text, Path::new("default.toml")).unwrap();
+        let closure = Closure::find("default").unwrap();
+        for i in 0..=70 {
+            for width in [0.0, 0.1, 1.0, 3.0, 8.0, 20.0] {
+                let phi = f64::from(i) * 0.01;
+                let found = closure.quantities[0].at(&[phi, width]);
+                assert!((found - model.evaluate(phi, width)).abs() < 1e-12, "{phi} {width}");
+            }
+        }
+    }
+
+    #[test]
+    fn names_and_paths_are_found_or_refused() {
+        let message = |name: &str| Closure::find(name).unwrap_err().to_string();
+        assert!(message("miloli-2013").ends_with("did you mean milioli-2013?"));
+        assert!(message("no/such.toml").starts_with("no/such.toml: "));
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("mine.toml");
+        std::fs::write(&path, BUILT_IN[1].1).unwrap();
+        let found = Closure::find(path.to_str().unwrap()).unwrap();
+        assert_eq!(found.file.name, "igci-sundaresan-2011-2d");
+        // And a file goes out as it came in.
+        let again = toml::to_string(&found.file).unwrap();
+        assert_eq!(Closure::parse(&again, &path).unwrap().file, found.file);
+    }
+
+    #[test]
+    fn each_bad_file_is_refused_in_its_place() {
+        let good = BUILT_IN.iter().find(|(name, _)| *name == "milioli-2013").unwrap().1;
+        let swap = |from: &str, to: &str| {
+            assert!(good.contains(from), "{from}");
+            let text = good.replacen(from, to, 1);
+            Closure::parse(&text, Path::new("m.toml")).unwrap_err().to_string()
+        };
+        let place = "m.toml: quantity drag_correction: ";
+        assert_eq!(
+            swap("max(h1_4, 0)", "max(h1_5, 0)"),
+            format!("{place}`h1_5` is not known here")
+        );
+        assert!(
+            swap("\"C_mu*D^2*S\"", "\"C_mu*D^2*S_g\"")
+                .contains("gas_shear_rate, which has no range")
+        );
+        assert!(swap("0.0, high = 0.65", "0.7, high = 0.65").contains("0.7 to 0.65, low < high"));
+        assert!(swap("phi*(0.59 - phi)", "phi*(0.59 - phi").contains("formulae.C_mu: "));
+        assert!(swap("h1_2 = ", "phi = ").contains("`phi` is the name of a marker"));
+        assert!(
+            swap("predicts = \"solids_pressure\"", "predicts = \"drag_correction\"")
+                .contains("twice")
+        );
+        assert!(
+            swap("slip = 0.05 }", "slip = inf }").contains("test vector 1 needs a finite number")
+        );
+        assert!(swap("unit = \"-\"", "unti = \"-\"").contains("unknown field `unti`"));
+        assert!(swap("status = \"full\"", "status = \"partial\"").contains("says what it lacks"));
+    }
+}

@@ -1,0 +1,506 @@
+//! [`Program`]: a formula compiled for many points.
+//!
+//! Points go through in chunks, operation by operation, so that an operation's loop is tight and its
+//! operands stay in cache. What several parts have in common is computed once. A piece of a
+//! piecewise formula is computed only at the points that it holds for.
+
+use super::{Comparison, Expression, Function, Node, Operator};
+use std::collections::HashMap;
+
+/// Points that go through together: registers of so many numbers stay in the second cache.
+const CHUNK: usize = 256;
+
+/// What a name in a formula stands for.
+#[derive(Clone, Copy, Debug)]
+pub enum Meaning<'a> {
+    /// The input of this number, counted from 0.
+    Input(usize),
+    /// A number.
+    Constant(f64),
+    /// Another formula.
+    Formula(&'a Expression),
+}
+
+/// A formula that has been compiled.
+#[derive(Clone, Debug)]
+pub struct Program {
+    inputs: usize,
+    registers: usize,
+    constants: Vec<(usize, f64)>,
+    blocks: Vec<Vec<Operation>>,
+    result: usize,
+}
+
+/// A register is written once, after those that it is made of, which have smaller numbers.
+#[derive(Clone, Debug)]
+struct Operation {
+    kind: Kind,
+    out: usize,
+}
+
+#[derive(Clone, Debug)]
+enum Kind {
+    Negative(usize),
+    Binary(Operator, usize, usize),
+    One(Function, usize),
+    Two(Function, usize, usize),
+    /// Square, cube, x^1.5: exact or faster than the general power.
+    Square(usize),
+    Cube(usize),
+    Select(Vec<Arm>, Block),
+}
+
+/// Operations on some of the points, and the register of their result.
+#[derive(Clone, Copy, Debug)]
+struct Block {
+    block: usize,
+    result: usize,
+}
+
+#[derive(Clone, Debug)]
+struct Arm {
+    /// What the operands of the comparison need.
+    before: usize,
+    left: usize,
+    comparison: Comparison,
+    right: usize,
+    value: Block,
+}
+
+/// Definitions that lead to each other deeper than this are a circle or a mistake.
+const DEEPEST: usize = 50;
+
+/// A value that has been computed already.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+enum Key {
+    Constant(u64),
+    Formula(String),
+    Negative(usize),
+    Binary(Operator, usize, usize),
+    One(Function, usize),
+    Two(Function, usize, usize),
+}
+
+struct Compiler<'a> {
+    meaning: &'a dyn Fn(&str) -> Option<Meaning<'a>>,
+    program: Program,
+    values: HashMap<usize, f64>,
+    /// What is known where, innermost last.
+    known: Vec<HashMap<Key, usize>>,
+    depth: usize,
+}
+
+impl Program {
+    /// Compiles `formula` of `inputs` inputs; `meaning` says what a name stands for.
+    ///
+    /// # Errors
+    /// A name without a meaning, formulae that lead back to themselves, a component of a vector.
+    pub fn compile<'a>(
+        formula: &Expression,
+        inputs: usize,
+        meaning: &'a dyn Fn(&str) -> Option<Meaning<'a>>,
+    ) -> Result<Self, String> {
+        let program = Self {
+            inputs,
+            registers: inputs,
+            constants: Vec::new(),
+            blocks: vec![Vec::new()],
+            result: 0,
+        };
+        let values = HashMap::new();
+        let mut compiler =
+            Compiler { meaning, program, values, known: vec![HashMap::new()], depth: 0 };
+        compiler.program.result = compiler.node(formula.root(), 0)?;
+        Ok(compiler.program)
+    }
+
+    /// The value at one point.
+    pub fn at(&self, inputs: &[f64]) -> f64 {
+        let columns: Vec<[f64; 1]> = inputs.iter().map(|x| [*x]).collect();
+        let columns: Vec<&[f64]> = columns.iter().map(|x| &x[..]).collect();
+        let mut out = [0.0];
+        self.evaluate(&columns, &mut out);
+        out[0]
+    }
+
+    /// The value at each of `out.len()` points; `inputs` are columns of so many numbers.
+    ///
+    /// # Panics
+    /// Another number of inputs, or columns of another length.
+    pub fn evaluate(&self, inputs: &[&[f64]], out: &mut [f64]) {
+        assert_eq!(inputs.len(), self.inputs, "number of inputs");
+        assert!(inputs.iter().all(|column| column.len() == out.len()), "length of the inputs");
+        let width = CHUNK.min(out.len()).max(1);
+        let mut registers = vec![0.0; self.registers * width];
+        for (register, value) in &self.constants {
+            registers[register * width..][..width].fill(*value);
+        }
+        for (chunk, out) in out.chunks_mut(width).enumerate() {
+            for (i, column) in inputs.iter().enumerate() {
+                let part = &column[chunk * width..][..out.len()];
+                registers[i * width..][..out.len()].copy_from_slice(part);
+            }
+            self.run(0, &Points::First(out.len()), width, &mut registers);
+            out.copy_from_slice(&registers[self.result * width..][..out.len()]);
+        }
+    }
+
+    fn run(&self, block: usize, points: &Points, width: usize, registers: &mut [f64]) {
+        for Operation { kind, out } in &self.blocks[block] {
+            if let Kind::Select(arms, last) = kind {
+                self.select(arms, *last, *out, points, width, registers);
+                continue;
+            }
+            let (before, after) = registers.split_at_mut(out * width);
+            let (register, out) = (|r: &usize| &before[r * width..][..width], &mut after[..width]);
+            match kind {
+                Kind::Negative(a) => points.one(out, register(a), |a| -a),
+                Kind::Binary(operator, a, b) => {
+                    let (a, b) = (register(a), register(b));
+                    match operator {
+                        Operator::Add => points.two(out, a, b, |a, b| a + b),
+                        Operator::Subtract => points.two(out, a, b, |a, b| a - b),
+                        Operator::Multiply => points.two(out, a, b, |a, b| a * b),
+                        Operator::Divide => points.two(out, a, b, |a, b| a / b),
+                        Operator::Power => points.two(out, a, b, f64::powf),
+                    }
+                }
+                Kind::Square(a) => points.one(out, register(a), |a| a * a),
+                Kind::Cube(a) => points.one(out, register(a), |a| a * a * a),
+                Kind::One(function, a) => match function {
+                    Function::Exp => points.one(out, register(a), f64::exp),
+                    function => points.one(out, register(a), |a| function.of_one(a)),
+                },
+                Kind::Two(function, a, b) => {
+                    points.two(out, register(a), register(b), |a, b| function.of_two(a, b));
+                }
+                Kind::Select(..) => unreachable!("done above"),
+            }
+        }
+    }
+
+    fn select(
+        &self,
+        arms: &[Arm],
+        last: Block,
+        out: usize,
+        points: &Points,
+        width: usize,
+        registers: &mut [f64],
+    ) {
+        let mut rest: Vec<u16> = Vec::new();
+        let mut here: Vec<u16> = Vec::new();
+        let mut undecided = points.clone();
+        for arm in arms {
+            self.run(arm.before, &undecided, width, registers);
+            let left = &registers[arm.left * width..][..width];
+            let right = &registers[arm.right * width..][..width];
+            here.clear();
+            rest.clear();
+            undecided.each(|i| {
+                let holds = arm.comparison.holds(left[i], right[i]);
+                if holds { &mut here } else { &mut rest }.push(i as u16);
+            });
+            if rest.is_empty() {
+                self.copy(arm.value, out, &undecided, width, registers);
+                return;
+            }
+            if !here.is_empty() {
+                self.copy(arm.value, out, &Points::Some(here.clone()), width, registers);
+                undecided = Points::Some(rest.clone());
+            }
+        }
+        self.copy(last, out, &undecided, width, registers);
+    }
+
+    /// Runs `value` at `points` and copies its result to `out`.
+    fn copy(&self, value: Block, out: usize, points: &Points, width: usize, registers: &mut [f64]) {
+        self.run(value.block, points, width, registers);
+        let (before, after) = registers.split_at_mut(out * width);
+        points.one(&mut after[..width], &before[value.result * width..][..width], |a| a);
+    }
+}
+
+/// Points of a chunk.
+#[derive(Clone)]
+enum Points {
+    /// So many from the first.
+    First(usize),
+    /// These.
+    Some(Vec<u16>),
+}
+
+impl Points {
+    fn each(&self, mut see: impl FnMut(usize)) {
+        match self {
+            Self::First(count) => (0..*count).for_each(see),
+            Self::Some(list) => list.iter().for_each(|i| see(usize::from(*i))),
+        }
+    }
+
+    #[inline(always)]
+    fn one(&self, out: &mut [f64], a: &[f64], operate: impl Fn(f64) -> f64) {
+        match self {
+            Self::First(count) => {
+                for (out, a) in out[..*count].iter_mut().zip(a) {
+                    *out = operate(*a);
+                }
+            }
+            Self::Some(list) => {
+                for i in list {
+                    let i = usize::from(*i);
+                    out[i] = operate(a[i]);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn two(&self, out: &mut [f64], a: &[f64], b: &[f64], operate: impl Fn(f64, f64) -> f64) {
+        match self {
+            Self::First(count) => {
+                for ((out, a), b) in out[..*count].iter_mut().zip(a).zip(b) {
+                    *out = operate(*a, *b);
+                }
+            }
+            Self::Some(list) => {
+                for i in list {
+                    let i = usize::from(*i);
+                    out[i] = operate(a[i], b[i]);
+                }
+            }
+        }
+    }
+}
+
+impl<'a> Compiler<'a> {
+    fn node(&mut self, node: &Node, block: usize) -> Result<usize, String> {
+        match node {
+            Node::Number(number) => Ok(self.constant(*number)),
+            Node::Name(name) => self.name(name, block),
+            Node::Negative(inner) => {
+                let a = self.node(inner, block)?;
+                match self.values.get(&a) {
+                    Some(value) => Ok(self.constant(-*value)),
+                    None => Ok(self.operation(Key::Negative(a), Kind::Negative(a), block)),
+                }
+            }
+            Node::Component(..) => {
+                Err("a component [n] is taken, and there are no vectors here".into())
+            }
+            Node::Binary(operator, a, b) => {
+                let (a, b) = (self.node(a, block)?, self.node(b, block)?);
+                Ok(self.binary(*operator, a, b, block))
+            }
+            Node::Call(function, arguments) => {
+                let (first, others) = arguments.split_first().expect("a call has an argument");
+                let mut result = self.node(first, block)?;
+                if others.is_empty() {
+                    return Ok(match self.values.get(&result) {
+                        Some(value) => self.constant(function.of_one(*value)),
+                        None => {
+                            let kind = Kind::One(*function, result);
+                            self.operation(Key::One(*function, result), kind, block)
+                        }
+                    });
+                }
+                for other in others {
+                    let other = self.node(other, block)?;
+                    let key = Key::Two(*function, result, other);
+                    result = self.operation(key, Kind::Two(*function, result, other), block);
+                }
+                Ok(result)
+            }
+            Node::Piecewise(arms, last) => {
+                // What an earlier condition needed is known to all that comes after it.
+                self.known.push(HashMap::new());
+                let mut compiled = Vec::new();
+                for (condition, value) in arms {
+                    let before = self.block();
+                    let left = self.node(&condition.left, before)?;
+                    let right = self.node(&condition.right, before)?;
+                    let value = self.inner(value)?;
+                    let comparison = condition.comparison;
+                    compiled.push(Arm { before, left, comparison, right, value });
+                }
+                let last = self.inner(last)?;
+                self.known.pop();
+                let out = self.register();
+                self.program.blocks[block]
+                    .push(Operation { kind: Kind::Select(compiled, last), out });
+                Ok(out)
+            }
+        }
+    }
+
+    /// A block of its own, for some of the points.
+    fn inner(&mut self, node: &Node) -> Result<Block, String> {
+        self.known.push(HashMap::new());
+        let block = self.block();
+        let result = self.node(node, block)?;
+        self.known.pop();
+        Ok(Block { block, result })
+    }
+
+    fn name(&mut self, name: &str, block: usize) -> Result<usize, String> {
+        let Some(meaning) = (self.meaning)(name) else {
+            return Err(format!("`{name}` is not known here"));
+        };
+        let formula = match meaning {
+            Meaning::Input(number) => return Ok(number),
+            Meaning::Constant(value) => return Ok(self.constant(value)),
+            Meaning::Formula(formula) => formula,
+        };
+        let key = Key::Formula(name.to_owned());
+        if let Some(register) = self.find(&key) {
+            return Ok(register);
+        }
+        if self.depth == DEEPEST {
+            return Err(format!("`{name}` leads back to itself, or through too many formulae"));
+        }
+        self.depth += 1;
+        let result = self.node(formula.root(), block)?;
+        self.depth -= 1;
+        self.innermost().insert(key, result);
+        Ok(result)
+    }
+
+    fn binary(&mut self, operator: Operator, a: usize, b: usize, block: usize) -> usize {
+        let (left, right) = (self.values.get(&a).copied(), self.values.get(&b).copied());
+        if let (Some(left), Some(right)) = (left, right) {
+            return self.constant(operator.apply(left, right));
+        }
+        let mut kind = Kind::Binary(operator, a, b);
+        if operator == Operator::Power {
+            match right {
+                Some(1.0) => return a,
+                Some(2.0) => kind = Kind::Square(a),
+                Some(3.0) => kind = Kind::Cube(a),
+                Some(0.5) => kind = Kind::One(Function::Sqrt, a),
+                Some(1.5) => {
+                    let root = self.operation(
+                        Key::One(Function::Sqrt, a),
+                        Kind::One(Function::Sqrt, a),
+                        block,
+                    );
+                    kind = Kind::Binary(Operator::Multiply, a, root);
+                }
+                _ => {}
+            }
+        }
+        self.operation(Key::Binary(operator, a, b), kind, block)
+    }
+
+    fn operation(&mut self, key: Key, kind: Kind, block: usize) -> usize {
+        if let Some(register) = self.find(&key) {
+            return register;
+        }
+        let out = self.register();
+        self.program.blocks[block].push(Operation { kind, out });
+        self.innermost().insert(key, out);
+        out
+    }
+
+    fn constant(&mut self, value: f64) -> usize {
+        let key = Key::Constant(value.to_bits());
+        if let Some(register) = self.find(&key) {
+            return register;
+        }
+        let register = self.register();
+        self.program.constants.push((register, value));
+        self.values.insert(register, value);
+        // A constant is filled in before anything runs, so all may use it.
+        self.known[0].insert(key, register);
+        register
+    }
+
+    fn register(&mut self) -> usize {
+        self.program.registers += 1;
+        self.program.registers - 1
+    }
+
+    fn block(&mut self) -> usize {
+        self.program.blocks.push(Vec::new());
+        self.program.blocks.len() - 1
+    }
+
+    fn find(&self, key: &Key) -> Option<usize> {
+        self.known.iter().rev().find_map(|known| known.get(key).copied())
+    }
+
+    fn innermost(&mut self) -> &mut HashMap<Key, usize> {
+        self.known.last_mut().expect("there is always an outermost")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn compiled(text: &str) -> Result<Program, String> {
+        let formula = Expression::parse(text)?;
+        let (double, circle) =
+            (Expression::parse("2*x").unwrap(), Expression::parse("circle + 1").unwrap());
+        Program::compile(&formula, 2, &|name| match name {
+            "x" => Some(Meaning::Input(0)),
+            "y" => Some(Meaning::Input(1)),
+            "c" => Some(Meaning::Constant(3.0)),
+            "double" => Some(Meaning::Formula(&double)),
+            "circle" => Some(Meaning::Formula(&circle)),
+            _ => None,
+        })
+    }
+
+    #[test]
+    fn numbers_follow_the_tree() {
+        let at = |text: &str| compiled(text).unwrap().at(&[2.0, 5.0]);
+        assert_eq!(at("x*y - c"), 7.0);
+        assert_eq!(at("double^2 + x^3 + y^1"), 29.0);
+        assert_eq!(at("x^1.5"), 2.0 * 2f64.sqrt());
+        assert_eq!(at("y^0.234"), 5f64.powf(0.234));
+        assert_eq!(at("-x^2"), -4.0);
+        assert_eq!(at("piecewise(x < 1, 10, y >= 5, double, 0) + max(x, y, c)"), 9.0);
+        assert_eq!(at("c"), 3.0);
+        assert_eq!(at("x"), 2.0);
+    }
+
+    #[test]
+    fn what_cannot_be_compiled_says_why() {
+        assert_eq!(compiled("x + z").unwrap_err(), "`z` is not known here");
+        assert!(compiled("circle").unwrap_err().contains("leads back to itself"));
+        assert!(compiled("x[0]").unwrap_err().contains("no vectors"));
+    }
+
+    #[test]
+    fn what_is_common_is_computed_once() {
+        let program =
+            compiled("exp(double) + exp(2*x) * piecewise(y < 1, exp(double), 1)").unwrap();
+        let exponentials = program
+            .blocks
+            .iter()
+            .flatten()
+            .filter(|operation| matches!(operation.kind, Kind::One(Function::Exp, _)));
+        assert_eq!(exponentials.count(), 1);
+    }
+
+    proptest! {
+        /// The compiled program at many points is the tree, whose every piece is computed everywhere.
+        #[test]
+        fn many_points_are_as_the_tree(
+            points in prop::collection::vec((-2.0..2.0, -2.0..2.0), 1..700)
+        ) {
+            let text = "piecewise(x < -1, exp(y), x + y <= 0, piecewise(y > 1, x*x, x^2 - y), \
+                        x > 1.5, tanh(x), abs(x)^0.3) * (1 + x^2) - piecewise(y < 0, 1, exp(y))";
+            let (x, y): (Vec<f64>, Vec<f64>) = points.into_iter().unzip();
+            let mut found = vec![0.0; x.len()];
+            compiled(text).unwrap().evaluate(&[&x, &y], &mut found);
+            let tree = Expression::parse(text).unwrap().evaluate(x.len(), &|name| {
+                Ok(vec![if name == "x" { x.clone() } else { y.clone() }])
+            });
+            for (a, b) in found.iter().zip(&tree.unwrap()[0]) {
+                prop_assert!((a - b).abs() <= 1e-14 * b.abs(), "{} {}", a, b);
+            }
+        }
+    }
+}
