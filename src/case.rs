@@ -253,12 +253,15 @@ pub enum FrictionChoice {
     SrivastavaSundaresan,
 }
 
-/// `with_friction!(choice, R, powder, |friction| expression)`, as [`with_drag`].
+/// `with_friction!(choice, R, powder, u_t, |friction| expression)`, as [`with_drag`].
 macro_rules! with_friction {
-    ($choice:expr, $real:ty, $powder:expr, |$friction:ident| $then:expr) => {
+    ($choice:expr, $real:ty, $powder:expr, $terminal_velocity:expr, |$friction:ident| $then:expr) => {
         match $choice {
             $crate::case::FrictionChoice::Barrier => {
-                let $friction = $crate::laws::friction::PackingBarrier::<$real>::new($powder);
+                let $friction = $crate::laws::friction::PackingBarrier::<$real>::new(
+                    $powder,
+                    $terminal_velocity,
+                );
                 $then
             }
             $crate::case::FrictionChoice::None => {
@@ -289,7 +292,7 @@ pub enum GranularEnergyChoice {
     /// Its balance equation is solved.
     Transport,
     /// What makes it and what dissipates it balance in each cell, as of
-    /// [`balanced_temperature`](crate::laws::kinetic_theory::balanced_temperature): neither the
+    /// [`balanced_speed`](crate::laws::kinetic_theory::balanced_speed): neither the
     /// solids nor conduction carry it, and none is kept. Shear and compression heat by the
     /// temperature of the step before.
     Algebraic,
@@ -1101,6 +1104,15 @@ precision = "f64"
         }
         let stray = problem(markers, &format!("{markers}\nslip_edges = [0, 1]"));
         assert!(stray.why.contains("\"slip\" is no marker"), "{}", stray.why);
+        let many = "markers = [\"solids_fraction\", \"slip\", \"shear_rate\"]\n\
+                    solids_fraction_bin = 0.0005\nslip_bin = \"0.01 u_t\"";
+        let from = format!("{markers}\nsolids_fraction_bin = 0.02\nslip_bin = \"0.25 u_t\"");
+        let many = problem(&from, many);
+        assert!(
+            many.key.contains("markers") && many.why.contains("at most 1000000"),
+            "{}",
+            many.why
+        );
         let four = "[\"solids_fraction\", \"slip\", \"shear_rate\", \"slip_speed\"]";
         assert!(problem("[\"solids_fraction\"]", four).why.contains("at most three"));
     }

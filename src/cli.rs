@@ -50,7 +50,9 @@ Examples:
   favre filter gas_*.vti parts_*.csv --map map.toml particles, deposited on the gas's grid
 
 The table is of all runs, as if they had been boxes of one. disagreements.csv lists the bins in which
-boxes of different mean solids fraction are further apart than their 95 % intervals allow.
+boxes of different mean solids fraction are further apart than their 95 % intervals allow. Runs on
+several grids are not averaged: values are those on the finest cells, and columns beside them give
+those on infinitely fine cells and the grid error.
 
 A map names arrays, or formulae of them, and the powder and the gas:
 
@@ -179,6 +181,9 @@ pub struct Filter {
     /// Take statistics of fields from this time on [s]
     #[arg(long, value_name = "T", allow_hyphen_values = true)]
     pub from: Option<f64>,
+    /// Of runs on several grids, the order of convergence [default: the one that shows, else 1]
+    #[arg(long, value_name = "P", allow_hyphen_values = true, value_parser = order)]
+    pub grid_order: Option<f64>,
     /// Folder for the results [default: favre-out/filter, of runs favre-out/pool]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -327,6 +332,11 @@ pub struct Stability {
     /// Print growth rates and needs as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+fn order(text: &str) -> Result<f64, String> {
+    let order = text.parse().ok().filter(|order| (0.1..=10.0).contains(order));
+    order.ok_or_else(|| "a number from 0.1 to 10 is accepted".to_owned())
 }
 
 /// Longest time between checkpoints [minutes]: a year.

@@ -5,7 +5,7 @@ use crate::grid::Grid;
 use crate::real::Real;
 
 /// Cells copied to either end of a row from its other end: what a limited slope needs beside a face.
-const HALO: usize = 2;
+pub(crate) const HALO: usize = 2;
 
 /// Elements between two rows, which hold the end of the halo of one and the beginning of that of the
 /// next. Rows start a multiple of 64 bytes apart, an odd one for the usual numbers of cells, so that

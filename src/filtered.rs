@@ -276,6 +276,11 @@ macro_rules! terms {
 
         /// Number of terms, filled up to whole [`Lanes`](crate::lanes::Lanes).
         pub const TERM_COUNT: usize = [$(Term::$name),*].len().next_multiple_of(LANES);
+
+        /// Number of terms that are something in `dimension` dimensions: the first ones.
+        pub const fn own_terms(dimension: usize) -> usize {
+            if dimension < 3 { Term::KineticStressXy as usize } else { [$(Term::$name),*].len() }
+        }
     };
 }
 
@@ -416,11 +421,7 @@ terms! {
 /// Number of terms in `dimension` dimensions, filled up to whole [`Lanes`](crate::lanes::Lanes).
 #[inline(always)]
 pub const fn term_count(dimension: usize) -> usize {
-    if dimension < 3 {
-        (Term::KineticStressXy as usize).next_multiple_of(LANES)
-    } else {
-        TERM_COUNT
-    }
+    own_terms(dimension).next_multiple_of(LANES)
 }
 
 /// Sets the `terms` at a position with these `moments`, by [`Term`]; what two dimensions lack is left

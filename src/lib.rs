@@ -20,9 +20,11 @@ pub mod fine;
 pub mod lanes;
 
 pub mod blocking;
+pub mod extrapolation;
 pub mod filter;
 pub mod filtered;
 pub mod moments;
+pub mod replicates;
 pub mod resolved;
 pub mod series;
 pub mod simulate;

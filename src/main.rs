@@ -190,8 +190,15 @@ fn filter(args: &cli::Filter) -> Result<(), Failure> {
     let output = Output::create(dir, args.force).map_err(Failure::misuse)?;
     interrupt.partial.get_or_init(|| output.partial().to_owned());
     let options = RunOptions { threads: args.threads.map_or(0, usize::from), quiet: args.quiet };
-    let found =
-        pipeline::fields::filter(&args.paths, &map, args.from, &output, &options, &interrupt.stop);
+    let found = pipeline::fields::filter(
+        &args.paths,
+        &map,
+        args.from,
+        args.grid_order,
+        &output,
+        &options,
+        &interrupt.stop,
+    );
     let found = found.map_err(|error| match error {
         RunError::Stopped => Failure { status: INTERRUPTED, error: error.into() },
         // What was given cannot be filtered.
@@ -226,7 +233,7 @@ fn pool(args: &cli::Filter) -> Result<(), Failure> {
         );
         return Err(Failure::misuse(message));
     }
-    let pool = Pool::read(&args.paths).map_err(Failure::misuse)?;
+    let pool = Pool::read(&args.paths, args.grid_order).map_err(Failure::misuse)?;
     let dir = args.out.as_deref().unwrap_or(Path::new("favre-out/pool"));
     let output = Output::create(dir, args.force).map_err(Failure::misuse)?;
     let summary = pipeline::pooled(&pool, &output).map_err(Failure::failed)?;

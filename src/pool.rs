@@ -5,9 +5,16 @@
 //! is estimated from either alone, and two values disagree if they are further apart than their 95 %
 //! intervals, added in squares, allow. One pair in twenty does by chance. A dependence on the mean
 //! of the box is a known open question: it is reported, and pooled values hide it.
+//!
+//! Runs on different grids are never averaged: the table is that of the finest grid, and has beside each
+//! value that on infinitely fine cells and the grid error (see [`Grids`]). Boxes are compared on the
+//! finest grid.
 
+pub mod grids;
+
+use self::grids::Grids;
 use crate::laws::scales::Scales;
-use crate::statistics::{MergeError, Sums, bin_table};
+use crate::statistics::{MergeError, Sums, bin_table_among};
 use crate::sums::{RunSums, SumsError, SumsFile, SumsSystem};
 use crate::table::BinRow;
 use serde::Serialize;
@@ -122,8 +129,10 @@ pub struct Agreement {
 pub struct Pool {
     /// The runs.
     pub file: SumsFile,
-    /// The bin table of all of them.
+    /// The bin table of all of them, on several grids that of the finest.
     pub bins: Vec<BinRow>,
+    /// What the grids say of each other, if there are several.
+    pub grids: Option<Grids>,
     /// How often each quantity depends on the box, in the order of the table.
     pub agreement: Vec<Agreement>,
     /// Where, the largest first within a quantity.
@@ -137,16 +146,19 @@ pub struct PoolSummary {
     pub runs: Vec<(String, f64)>,
     /// Rows of the bin table.
     pub rows: usize,
+    /// What the grids say of each other, if there are several.
+    pub grids: Option<Grids>,
     /// How often each quantity depends on the box.
     pub agreement: Vec<Agreement>,
 }
 
 impl Pool {
-    /// Pools the sums at `paths`: files, or folders of runs.
+    /// Pools the sums at `paths`: files, or folders of runs. Of runs on several grids, `order` is the
+    /// order of convergence; without it the one that the values show, or else the first.
     ///
     /// # Errors
     /// [`PoolError`] for a file that cannot be read or does not fit the others, or a run given twice.
-    pub fn read(paths: &[PathBuf]) -> Result<Self, PoolError> {
+    pub fn read(paths: &[PathBuf], order: Option<f64>) -> Result<Self, PoolError> {
         let mut pooled: Option<SumsFile> = None;
         for path in paths {
             let file = SumsFile::read(path)?;
@@ -165,19 +177,27 @@ impl Pool {
         }
         let file = pooled.ok_or(PoolError::Nothing)?;
         let path = paths[0].clone();
-        Self::new(file).map_err(|source| PoolError::Merge { path, source })
+        Self::new(file, order).map_err(|source| PoolError::Merge { path, source })
     }
 
-    /// The tables of these runs.
+    /// The tables of these runs; `order` as for [`Pool::read`].
     ///
     /// # Errors
     /// [`MergeError`] if the runs are of different filters or bins.
-    pub fn new(file: SumsFile) -> Result<Self, MergeError> {
+    pub fn new(file: SumsFile, order: Option<f64>) -> Result<Self, MergeError> {
         let scales = file.system.scales();
-        let all: Vec<Sums> = file.runs.iter().map(|run| run.sums.clone()).collect();
-        let bins = bin_table(&all, &scales)?;
-        let (agreement, disagreements) = compare(&file.runs, &scales)?;
-        Ok(Self { file, bins, agreement, disagreements })
+        let by_grid = grids::by_grid(&file.runs);
+        let (bins, grids) = if by_grid.len() > 1 {
+            let (bins, grids) = grids::table(&file.runs, &by_grid, order, &scales)?;
+            (bins, Some(grids))
+        } else {
+            let all: Vec<&Sums> = file.runs.iter().map(|run| &run.sums).collect();
+            (bin_table_among(&all, &all, &scales)?, None)
+        };
+        let finest: Vec<&RunSums> =
+            by_grid.first().into_iter().flatten().map(|&run| &file.runs[run]).collect();
+        let (agreement, disagreements) = compare(&finest, &scales)?;
+        Ok(Self { file, bins, grids, agreement, disagreements })
     }
 
     /// What it says of itself.
@@ -186,6 +206,7 @@ impl Pool {
         PoolSummary {
             runs: runs.map(|run| (run.name.clone(), run.solids_fraction)).collect(),
             rows: self.bins.len(),
+            grids: self.grids.clone(),
             agreement: self.agreement.clone(),
         }
     }
@@ -215,7 +236,7 @@ fn difference(ours: &SumsSystem, theirs: &SumsSystem) -> Option<&'static str> {
 fn add(pooled: &mut SumsFile, run: RunSums, path: &std::path::Path) -> Result<(), PoolError> {
     for ours in &pooled.runs {
         ours.sums
-            .matches(&run.sums)
+            .matches_but_for_grid(&run.sums)
             .map_err(|source| PoolError::Merge { path: path.to_owned(), source })?;
         if ours.solids_fraction == run.solids_fraction && ours.sums.same_samples(&run.sums) {
             let RunSums { name, solids_fraction, .. } = run;
@@ -228,27 +249,26 @@ fn add(pooled: &mut SumsFile, run: RunSums, path: &std::path::Path) -> Result<()
 
 /// Where the values of boxes of different mean solids fraction disagree.
 fn compare(
-    runs: &[RunSums],
+    runs: &[&RunSums],
     scales: &Scales,
 ) -> Result<(Vec<Agreement>, Vec<Disagreement>), MergeError> {
     let mut fractions: Vec<f64> = runs.iter().map(|run| run.solids_fraction).collect();
     fractions.sort_by(f64::total_cmp);
     fractions.dedup();
+    let all: Vec<&Sums> = runs.iter().map(|run| &run.sums).collect();
     let mut tables = Vec::with_capacity(fractions.len());
     for fraction in fractions {
         let of_box = runs.iter().filter(|run| run.solids_fraction == fraction);
-        let sums: Vec<Sums> = of_box.map(|run| run.sums.clone()).collect();
-        tables.push((fraction, bin_table(&sums, scales)?));
+        let sums: Vec<&Sums> = of_box.map(|run| &run.sums).collect();
+        tables.push((fraction, bin_table_among(&sums, &all, scales)?));
     }
-    let found: Vec<BTreeMap<_, &BinRow>> = tables
-        .iter()
-        .map(|(_, rows)| rows.iter().map(|row| (bin_of(row), row)).collect())
-        .collect();
+    let found: Vec<BTreeMap<_, &BinRow>> =
+        tables.iter().map(|(_, rows)| rows.iter().map(|row| (row.bin(), row)).collect()).collect();
     let (mut agreement, mut disagreements) = (Vec::<Agreement>::new(), Vec::new());
     for (place, (one, rows)) in tables.iter().enumerate() {
         for ((other, _), theirs) in tables.iter().zip(&found).skip(place + 1) {
             for row in rows {
-                let Some(their) = theirs.get(&bin_of(row)) else { continue };
+                let Some(their) = theirs.get(&row.bin()) else { continue };
                 let halves = halves(row, their);
                 let joint = halves[0].hypot(halves[1]);
                 if !joint.is_finite() {
@@ -291,21 +311,6 @@ fn compare(
     Ok((agreement, disagreements))
 }
 
-/// Quantity, and filter width and lower edges of the bin.
-fn bin_of(row: &BinRow) -> (&str, [u64; 8]) {
-    let lower = [
-        row.filter_width,
-        row.solids_fraction_low,
-        row.slip_low,
-        row.slip_speed_low,
-        row.pressure_gradient_low,
-        row.shear_rate_low,
-        row.fraction_gradient_low,
-        row.variance_low,
-    ];
-    (&row.quantity, lower.map(f64::to_bits))
-}
-
 /// Halves of the intervals of two values, on the side of each other.
 fn halves(a: &BinRow, b: &BinRow) -> [f64; 2] {
     let (below, above) = if a.value < b.value { (a, b) } else { (b, a) };
@@ -318,6 +323,9 @@ impl fmt::Display for PoolSummary {
         writeln!(f, "{} runs pooled, {} rows:", self.runs.len(), self.rows)?;
         for (name, fraction) in &self.runs {
             writeln!(f, "  {name}, mean solids fraction {fraction}")?;
+        }
+        if let Some(grids) = &self.grids {
+            writeln!(f, "{grids}")?;
         }
         let [pairs, disagree]: [usize; 2] = [
             self.agreement.iter().map(|a| a.pairs).sum(),
@@ -359,15 +367,18 @@ impl Agreement {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::laws::scales::tests::{GAS, POWDER};
     use crate::statistics::tests::{sampled_runs, scales};
 
     fn file(solids_fraction: f64, lift: f64, instants: std::ops::Range<u64>) -> SumsFile {
+        file_of(solids_fraction, sampled_runs(lift, instants))
+    }
+
+    pub(crate) fn file_of(solids_fraction: f64, sums: Sums) -> SumsFile {
         let system =
             SumsSystem { powder: POWDER, gas: GAS, gravity: 9.81, drag: "wen-yu".to_owned() };
-        let sums = sampled_runs(lift, instants);
         let run = RunSums { name: format!("box {solids_fraction}"), solids_fraction, sums };
         SumsFile { system, runs: vec![run] }
     }
@@ -384,12 +395,12 @@ mod tests {
         let files = [file(0.1, 0.0, 0..60), file(0.1, 0.0, 60..130), file(0.3, 0.0, 200..260)];
         let paths: Vec<PathBuf> =
             files.iter().enumerate().map(|(n, f)| saved(dir.path(), &n.to_string(), f)).collect();
-        let pool = Pool::read(&paths).unwrap();
+        let pool = Pool::read(&paths, None).unwrap();
         let all: Vec<Sums> = files.iter().map(|file| file.runs[0].sums.clone()).collect();
-        assert_eq!(pool.bins, bin_table(&all, &scales()).unwrap());
+        assert_eq!(pool.bins, crate::statistics::bin_table(&all, &scales()).unwrap());
         // A pool is a file of sums again.
         let whole = saved(dir.path(), "pool", &pool.file);
-        assert_eq!(Pool::read(std::slice::from_ref(&whole)).unwrap().bins, pool.bins);
+        assert_eq!(Pool::read(std::slice::from_ref(&whole), None).unwrap().bins, pool.bins);
         assert_eq!(SumsFile::read(&whole).unwrap(), pool.file);
         // The same fields, whatever the box: disagreements are those of chance.
         let summary = pool.summary();
@@ -403,7 +414,7 @@ mod tests {
     fn boxes_that_disagree_are_reported() {
         let pool = |one: SumsFile, other: SumsFile| {
             let runs = one.runs.into_iter().chain(other.runs).collect();
-            Pool::new(SumsFile { runs, ..one_system() }).unwrap()
+            Pool::new(SumsFile { runs, ..one_system() }, None).unwrap()
         };
         fn one_system() -> SumsFile {
             SumsFile { runs: vec![], ..file(0.1, 0.0, 0..0) }
@@ -440,7 +451,8 @@ mod tests {
         let good = saved(dir.path(), "good", &good);
         let refused = |name: &str, file: &SumsFile, says: &str| {
             let path = saved(dir.path(), name, file);
-            let mut error: &dyn std::error::Error = &Pool::read(&[good.clone(), path]).unwrap_err();
+            let mut error: &dyn std::error::Error =
+                &Pool::read(&[good.clone(), path], None).unwrap_err();
             let mut text = error.to_string();
             while let Some(cause) = error.source() {
                 error = cause;
@@ -456,9 +468,9 @@ mod tests {
         bytes[middle] ^= 1;
         let path = dir.path().join("damaged");
         std::fs::write(&path, bytes).unwrap();
-        let error = Pool::read(&[path]).unwrap_err().to_string();
+        let error = Pool::read(&[path], None).unwrap_err().to_string();
         assert!(error.contains("damaged") && error.contains("checksum"), "{error}");
-        assert!(matches!(Pool::read(&[]), Err(PoolError::Nothing)));
-        assert!(Pool::read(&[dir.path().join("none")]).is_err());
+        assert!(matches!(Pool::read(&[], None), Err(PoolError::Nothing)));
+        assert!(Pool::read(&[dir.path().join("none")], None).is_err());
     }
 }

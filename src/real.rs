@@ -57,6 +57,10 @@ pub trait Real:
     /// the cost of a power.
     fn cbrt(self) -> Self;
 
+    /// √x, ∛x, ⁴√x of a positive normal number, up to 6.1 % too large and never too small: where to
+    /// start from. Integer arithmetic only, so that the divider, which `sqrt` shares, stays free.
+    fn rough_roots(self) -> [Self; 3];
+
     /// `x` to a power, for x > 0: 2^(y log₂ x).
     #[inline(always)]
     fn power(self, y: Self) -> Self {
@@ -92,6 +96,10 @@ const EXP2: [f64; 14] = {
 const CBRT_F32: u32 = 0x54a2_1d2a;
 const CBRT_F64: u64 = 0x553e_f0ff_289d_d796;
 
+/// Two thirds of the bits of 1, and what a third of bits made of shifts falls short by.
+const THIRD_F32: u32 = 0x2a55_555b;
+const THIRD_F64: u64 = 0x2aa0_0000_2aaa_aaab;
+
 /// log₂ m = (2 / ln 2) artanh s, s = (m-1)/(m+1): the series' coefficients of s^(2n+1).
 const LOG2: [f64; 12] = {
     let mut c = [0.0; 12];
@@ -103,8 +111,28 @@ const LOG2: [f64; 12] = {
     c
 };
 
+/// The first `$terms` of a polynomial, odd and even powers apart: two short chains of dependent
+/// operations take half the time of one.
+macro_rules! polynomial {
+    ($t:ident, $coefficients:ident, $terms:expr, $x:expr) => {{
+        let (x, x2) = ($x, $x * $x);
+        let mut sums = [$coefficients[$terms - 2] as $t, $coefficients[$terms - 1] as $t];
+        let mut n = $terms - 2;
+        while n >= 2 {
+            n -= 2;
+            sums[0] = sums[0] * x2 + $coefficients[n] as $t;
+            sums[1] = sums[1] * x2 + $coefficients[n + 1] as $t;
+        }
+        if n == 1 {
+            // An odd number of terms: what was even is odd now.
+            sums = [sums[1] * x2 + $coefficients[0] as $t, sums[0]];
+        }
+        sums[0] + x * sums[1]
+    }};
+}
+
 macro_rules! real {
-    ($t:ident, $bits:ident, $signed:ident, $mantissa:expr, $bias:expr, $round:expr, $exp_terms:expr, $log_terms:expr, $cbrt:expr, $cbrt_steps:expr) => {
+    ($t:ident, $bits:ident, $signed:ident, $mantissa:expr, $bias:expr, $round:expr, $exp_terms:expr, $log_terms:expr, $cbrt:expr, $cbrt_steps:expr, $third:expr) => {
         impl Real for $t {
             const ZERO: Self = 0.0;
             const ONE: Self = 1.0;
@@ -145,12 +173,7 @@ macro_rules! real {
                 let shifted = x + $round;
                 let fraction = x - (shifted - $round);
                 let exponent = shifted.to_bits() << $mantissa;
-                let mut sum = EXP2[$exp_terms - 1] as $t;
-                let mut n = $exp_terms - 1;
-                while n > 0 {
-                    n -= 1;
-                    sum = sum * fraction + EXP2[n] as $t;
-                }
+                let sum = polynomial!($t, EXP2, $exp_terms, fraction);
                 $t::from_bits(sum.to_bits().wrapping_add(exponent))
             }
 
@@ -165,12 +188,7 @@ macro_rules! real {
                 let e = $t::from_bits($round.to_bits().wrapping_add(exponent)) - $round;
                 let s = (m - 1.0) / (m + 1.0);
                 let s2 = s * s;
-                let mut sum = LOG2[$log_terms - 1] as $t;
-                let mut n = $log_terms - 1;
-                while n > 0 {
-                    n -= 1;
-                    sum = sum * s2 + LOG2[n] as $t;
-                }
+                let sum = polynomial!($t, LOG2, $log_terms, s2);
                 sum * s + e
             }
 
@@ -192,12 +210,29 @@ macro_rules! real {
                 }
                 self * root * root
             }
+
+            #[inline(always)]
+            fn rough_roots(self) -> [Self; 3] {
+                // The bits are 2^mantissa (log₂ x + bias) where x is a power of two, and linear in x
+                // between, where the root's are: log₂ is above its chords.
+                let (bits, one) = (self.to_bits(), (1.0 as $t).to_bits());
+                let mut third = (bits >> 2) + (bits >> 4);
+                third += third >> 4;
+                third += third >> 8;
+                third += third >> 16;
+                [
+                    $t::from_bits((bits >> 1) + (one - (one >> 1))),
+                    // What the shifts drop is less than these units.
+                    $t::from_bits(third + $third),
+                    $t::from_bits((bits >> 2) + (one - (one >> 2))),
+                ]
+            }
         }
     };
 }
 
-real!(f32, u32, i32, 23, 127, 12_582_912.0f32, 8, 5, CBRT_F32, 2);
-real!(f64, u64, i64, 52, 1023, 6_755_399_441_055_744.0f64, 14, 10, CBRT_F64, 3);
+real!(f32, u32, i32, 23, 127, 12_582_912.0f32, 8, 5, CBRT_F32, 2, THIRD_F32);
+real!(f64, u64, i64, 52, 1023, 6_755_399_441_055_744.0f64, 14, 10, CBRT_F64, 3, THIRD_F64);
 
 #[cfg(test)]
 mod tests {
@@ -236,6 +271,23 @@ mod tests {
             assert!((Real::cbrt(x) / f64::cbrt(x) - 1.0).abs() < 1e-15, "{x}");
             let x = x as f32;
             assert!((Real::cbrt(x).f64() / f64::from(x).cbrt() - 1.0).abs() < 4e-7, "{x}");
+        }
+    }
+
+    #[test]
+    fn rough_roots_are_above_the_roots_and_near() {
+        for i in -40_000..=40_000 {
+            let x = f64::exp2(f64::from(i) * 0.002_37);
+            let exact = [x.sqrt(), x.cbrt(), x.sqrt().sqrt()];
+            for (rough, exact) in x.rough_roots().into_iter().zip(exact) {
+                assert!((1.0 - 1e-15..1.0607).contains(&(rough / exact)), "{x}: {rough} {exact}");
+            }
+            let x = x as f32;
+            let exact = [f64::from(x).sqrt(), f64::from(x).cbrt(), f64::from(x).sqrt().sqrt()];
+            for (rough, exact) in x.rough_roots().into_iter().zip(exact) {
+                let ratio = f64::from(rough) / exact;
+                assert!((1.0 - 2e-7..1.0607).contains(&ratio), "{x}: {rough} {exact}");
+            }
         }
     }
 

@@ -8,7 +8,7 @@
 //! Reductions follow one fixed tree over the rows, so results do not depend on the number of
 //! threads.
 
-use crate::field::{Field, Layout, Row, cells_of};
+use crate::field::{Field, HALO, Layout, Row};
 use crate::real::Real;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -201,21 +201,17 @@ impl<const D: usize> Rows<D> {
     ) -> S {
         let row = self.layout.row(row);
         let span = self.layout.span(row);
-        let mut lines = [(); K].map(|()| <&mut [R]>::default());
-        for (line, memory) in lines.iter_mut().zip(outputs.0) {
-            // SAFETY: `reduce` holds the outputs mutably, each with memory for this layout from
-            // `memory` on and a halo before it, and `tree` visits every row once; rows with their
-            // halos do not overlap.
-            *line =
-                unsafe { std::slice::from_raw_parts_mut(memory.offset(span.start), span.len()) };
-        }
-        let mut cells = [(); K].map(|()| <&mut [R]>::default());
-        for (cells, line) in cells.iter_mut().zip(&mut lines) {
-            *cells = cells_of(line);
-        }
-        let result = kernel(row, cells);
-        for line in lines {
-            self.layout.wrap(line);
+        // SAFETY: `reduce` holds the outputs mutably, each with memory for this layout from `memory`
+        // on and a halo before it, and `tree` visits every row once; rows with their halos do not
+        // overlap. The cells are done with when `kernel` returns.
+        let lines = |memory: *mut R, halo: isize| unsafe {
+            let len = span.len() - 2 * HALO + 2 * halo.unsigned_abs();
+            let begin = span.start + HALO as isize - halo;
+            std::slice::from_raw_parts_mut(memory.offset(begin), len)
+        };
+        let result = kernel(row, outputs.0.map(|memory| lines(memory, 0)));
+        for memory in outputs.0 {
+            self.layout.wrap(lines(memory, HALO as isize));
         }
         result
     }

@@ -268,6 +268,7 @@ impl Uniform {
     pub fn new(case: &Case, phi: f64) -> Self {
         let Case { powder, gas, physics, .. } = case;
         let law = physics.drag.law(gas, powder);
+        let u_t = case.scales().terminal_velocity;
         let theory = KineticTheory::<f64>::new(gas, powder);
         let contact = |phi| {
             with_radial_distribution!(physics.radial_distribution, f64, powder, |radial| {
@@ -275,7 +276,7 @@ impl Uniform {
             })
         };
         let friction = |phi| {
-            with_friction!(physics.friction, f64, powder, |friction| friction.pressure(phi).0)
+            with_friction!(physics.friction, f64, powder, u_t, |friction| friction.pressure(phi).0)
         };
         let slip = homogeneous_slip(&law, powder, gas, physics.gravity, phi);
         let drag = law.beta_per_fraction(phi, slip);

@@ -22,7 +22,6 @@ use crate::rows::{each_chunk, simd};
 use crate::spectral::Kernel;
 use crate::table::BinRow;
 use std::collections::BTreeMap;
-use std::collections::btree_map::Entry;
 
 /// What filter positions may be binned by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -277,9 +276,10 @@ impl Bins {
 /// Numbers of a [`Spread`]: how many positions, and Σ num², Σ num den, Σ den² of each quantity.
 pub(crate) const SPREAD: usize = 1 + 3 * QUANTITY_COUNT;
 
-/// One block of time in this many, and one position in as many, tells how far single positions lie
-/// from the mean: it need not be known better.
-const SPREAD_EVERY: u64 = 4;
+/// One block of time in so many, and of its positions one in so many, tells how far single positions lie
+/// from the mean: it need not be known better, and spreads take three times the room of sums.
+const SPREAD_BLOCKS: u64 = 8;
+const SPREAD_POSITIONS: usize = 2;
 
 /// Sums of the bins that were visited at one filter width during one block of time.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -288,7 +288,7 @@ pub struct Visits {
     pub keys: Vec<u32>,
     /// Sums of the [`Term`]s over the positions: [`TERM_COUNT`] for each visit.
     pub sums: Vec<f64>,
-    /// For each visit of one block in four the positions looked at, and Σ num², Σ num den and Σ den²
+    /// For each visit of one block in eight the positions looked at, and Σ num², Σ num den and Σ den²
     /// of each quantity over them; empty in the others.
     pub spreads: Vec<f64>,
 }
@@ -367,6 +367,8 @@ pub struct Layout {
     pub densities: [f64; 2],
     /// The filter kernel.
     pub kernel: Kernel,
+    /// Edge of a cell of the fine grid along each axis \[m\].
+    pub spacing: Vec<f64>,
     /// Filter widths Δ_f \[m\].
     pub widths: Vec<f64>,
     /// The bins.
@@ -379,11 +381,23 @@ pub struct Layout {
 
 impl Layout {
     /// Blocks of space.
-    fn places(&self) -> usize {
+    pub(crate) fn places(&self) -> usize {
         self.space.iter().product()
     }
 
-    fn densities(&self) -> Densities {
+    /// Edge of a cube, in two dimensions of a square, of a fine cell's volume \[m\].
+    pub fn cell(&self) -> f64 {
+        self.spacing.iter().product::<f64>().powf(1.0 / self.spacing.len() as f64)
+    }
+
+    /// Whether other sums are of cells of the same edges, to round-off.
+    pub fn same_grid(&self, other: &Self) -> bool {
+        let alike = |(a, b): (&f64, &f64)| (a / b - 1.0).abs() < 1e-6;
+        self.spacing.len() == other.spacing.len()
+            && self.spacing.iter().zip(&other.spacing).all(alike)
+    }
+
+    pub(crate) fn densities(&self) -> Densities {
         Densities { solids: self.densities[0], gas: self.densities[1] }
     }
 }
@@ -451,6 +465,17 @@ pub enum MergeError {
         /// Duration of the other sums' blocks \[s\].
         theirs: f64,
     },
+    /// The grids differ.
+    #[error(
+        "cells differ: edges of {ours:?} m and {theirs:?} m; a table is of one grid, `favre filter` \
+         puts grids together"
+    )]
+    Grid {
+        /// Edges of the first sums' cells \[m\].
+        ours: Vec<f64>,
+        /// Edges of the other sums' cells \[m\].
+        theirs: Vec<f64>,
+    },
     /// Pieces of a run that is divided differently.
     #[error("blocks of space differ: {ours:?} and {theirs:?}")]
     Space {
@@ -467,11 +492,24 @@ impl Sums {
         Self { layout, blocks: Vec::new() }
     }
 
-    /// Whether other sums are of the same quantities in the same bins.
+    /// Whether other sums are of the same quantities in the same bins on the same grid.
     ///
     /// # Errors
     /// [`MergeError`] for the first difference.
     pub fn matches(&self, other: &Self) -> Result<(), MergeError> {
+        self.matches_but_for_grid(other)?;
+        if !self.layout.same_grid(&other.layout) {
+            let (ours, theirs) = (self.layout.spacing.clone(), other.layout.spacing.clone());
+            return Err(MergeError::Grid { ours, theirs });
+        }
+        Ok(())
+    }
+
+    /// Whether other sums are of the same quantities in the same bins, on whichever grid.
+    ///
+    /// # Errors
+    /// [`MergeError`] for the first difference.
+    pub fn matches_but_for_grid(&self, other: &Self) -> Result<(), MergeError> {
         let (ours, theirs) = (&self.layout, &other.layout);
         if ours.dimension != theirs.dimension {
             let (ours, theirs) = (ours.dimension, theirs.dimension);
@@ -628,6 +666,7 @@ impl<const D: usize, L: DragLaw<f64>> Sampler<D, L> {
             dimension: D,
             densities: [scales.density, sampling.gas_density],
             kernel,
+            spacing: grid.spacing.to_vec(),
             widths,
             bins,
             block_duration,
@@ -707,7 +746,7 @@ impl<const D: usize, L: DragLaw<f64>> Sampler<D, L> {
         self.filter.filter(fields);
         let Some(block) = self.sums.blocks.last_mut() else { return };
         block.instants += 1;
-        let spread = block.place.is_multiple_of(SPREAD_EVERY);
+        let spread = block.place.is_multiple_of(SPREAD_BLOCKS);
         let per_unit = layout.bins.per_unit(&self.scales);
         let mut widths: Vec<_> =
             block.widths.iter_mut().zip(&mut self.rows).zip(&self.places).enumerate().collect();
@@ -742,7 +781,7 @@ impl<const D: usize, L: DragLaw<f64>> Sampler<D, L> {
                         let factors: [f64; QUANTITY_COUNT] = std::array::from_fn(|quantity| {
                             QUANTITIES[quantity].formula.factor(layout.densities(), width)
                         });
-                        for n in (0..len).step_by(SPREAD_EVERY as usize) {
+                        for n in (0..len).step_by(SPREAD_POSITIONS) {
                             let terms: [f64; TERM_COUNT] =
                                 std::array::from_fn(|term| terms[n / LANES][term].0[n % LANES]);
                             let spread = &mut visits.spreads[visited[n] as usize * SPREAD..];
@@ -834,44 +873,73 @@ fn add_spread(spread: &mut [f64], terms: &[f64], factors: &[f64; QUANTITY_COUNT]
 /// bin, such as a viscosity without shear, has no row.
 ///
 /// # Errors
-/// [`MergeError`] if the runs' widths, bins or block durations differ.
+/// [`MergeError`] if the runs' widths, bins, grids or block durations differ.
 pub fn bin_table(runs: &[Sums], scales: &Scales) -> Result<Vec<BinRow>, MergeError> {
-    let Some(first) = runs.first() else { return Ok(Vec::new()) };
-    for run in runs {
-        first.matches(run)?;
-    }
-    let widths = 0..first.layout.widths.len();
-    let visited: Vec<Vec<BinVisits>> = widths.map(|width| visits(runs, width)).collect();
+    let runs: Vec<&Sums> = runs.iter().collect();
+    bin_table_among(&runs, &runs, scales)
+}
+
+/// [`bin_table`] of `runs`, in bins that tables of others `among` all share: quantiles are those of
+/// all of them, on whichever grid.
+///
+/// # Errors
+/// [`MergeError`] if the runs' widths, bins, grids or block durations differ.
+pub fn bin_table_among(
+    runs: &[&Sums],
+    among: &[&Sums],
+    scales: &Scales,
+) -> Result<Vec<BinRow>, MergeError> {
+    Ok(tabulate(runs, among, scales)?.rows)
+}
+
+/// A bin table and what it is of.
+#[derive(Default)]
+pub(crate) struct Tabulated<'a> {
+    pub(crate) rows: Vec<BinRow>,
+    /// For each row the numbers of its quantity, its width and its bin in `visited`.
+    pub(crate) of_rows: Vec<[usize; 3]>,
+    /// For each row its correlation time \[blocks of time\].
+    pub(crate) times: Vec<f64>,
+    /// For each width the bins that were visited.
+    pub(crate) visited: Vec<Vec<BinVisits<'a>>>,
+}
+
+/// [`bin_table_among`], and what it is of.
+pub(crate) fn tabulate<'a>(
+    runs: &[&'a Sums],
+    among: &[&Sums],
+    scales: &Scales,
+) -> Result<Tabulated<'a>, MergeError> {
+    let mut found = Tabulated::default();
+    let Some(first) = runs.first() else { return Ok(found) };
+    runs.iter().try_for_each(|run| first.matches(run))?;
+    among.iter().try_for_each(|run| first.matches_but_for_grid(run))?;
+    let layout = &first.layout;
+    let widths = 0..layout.widths.len();
+    found.visited = widths.map(|width| visits(runs, width, &groups(among, width))).collect();
     let mut estimator = Estimator::default();
-    let mut rows = Vec::new();
     for (number, quantity) in QUANTITIES.iter().enumerate() {
-        if quantity.only_3d && first.layout.dimension < 3 {
+        if quantity.only_3d && layout.dimension < 3 {
             continue;
         }
-        for (&width, bins) in first.layout.widths.iter().zip(&visited) {
-            let factor = quantity.formula.factor(first.layout.densities(), width);
-            for visits in bins {
+        for (place, (&width, bins)) in layout.widths.iter().zip(&found.visited).enumerate() {
+            let factor = quantity.formula.factor(layout.densities(), width);
+            for (bin, visits) in bins.iter().enumerate() {
                 let mean = quantity.formula.mean(&visits.total);
                 let pair = |sums: &[f64]| quantity.formula.pair(sums, mean, factor);
-                let found = estimator.estimate(&visits.blocks(runs, pair));
-                if found.ratio.is_finite() {
-                    let spread = visits.spread(number, found.ratio);
-                    let denominator = pair(&visits.total)[1];
-                    let layout = &first.layout;
-                    rows.push(row(
-                        quantity,
-                        width,
-                        visits,
-                        &found,
-                        (spread, denominator),
-                        layout,
-                        scales,
-                    ));
+                let estimate = estimator.estimate(&visits.blocks(runs, pair));
+                if !estimate.ratio.is_finite() {
+                    continue;
                 }
+                let spread = visits.spread(number, estimate.ratio);
+                let spread = (spread, pair(&visits.total)[1]);
+                found.rows.push(row(quantity, width, visits, &estimate, spread, layout, scales));
+                found.of_rows.push([number, place, bin]);
+                found.times.push(estimate.correlation_time);
             }
         }
     }
-    Ok(rows)
+    Ok(found)
 }
 
 /// What was seen of a bin in one block.
@@ -885,9 +953,7 @@ struct Seen<'a> {
 }
 
 /// What all runs saw of one bin, or of some put together, at one width.
-struct BinVisits<'a> {
-    /// The first of the bins.
-    bin: usize,
+pub(crate) struct BinVisits<'a> {
     /// Its edges along each axis.
     edges: Vec<[f64; 2]>,
     /// In the order of runs, blocks and blocks of space.
@@ -898,7 +964,7 @@ struct BinVisits<'a> {
 
 impl BinVisits<'_> {
     /// Numerators and denominators of every block of the runs that visited the bin.
-    fn blocks(&self, runs: &[Sums], pair: impl Fn(&[f64]) -> [f64; 2]) -> Vec<Run> {
+    fn blocks(&self, runs: &[&Sums], pair: impl Fn(&[f64]) -> [f64; 2]) -> Vec<Run> {
         let of_run = |seen: &[Seen]| {
             let run = &runs[seen[0].run];
             let places = run.layout.places();
@@ -912,6 +978,19 @@ impl BinVisits<'_> {
             Run { space: run.layout.space, sums }
         };
         self.seen.chunk_by(|a, b| a.run == b.run).map(of_run).collect()
+    }
+
+    /// The sums over all blocks, each as often as `counts` says of its run.
+    pub(crate) fn resampled(&self, runs: &[&Sums], counts: &[Vec<f64>]) -> [f64; TERM_COUNT] {
+        let mut total = [0.0; TERM_COUNT];
+        for seen in &self.seen {
+            let places = runs[seen.run].layout.places();
+            let count = counts[seen.run][seen.block * places + seen.place];
+            if count > 0.0 {
+                total.iter_mut().zip(seen.sums).for_each(|(total, sum)| *total += count * sum);
+            }
+        }
+        total
     }
 
     /// Mean of (num - R den)² over the positions that were looked at; none if none was.
@@ -928,69 +1007,56 @@ impl BinVisits<'_> {
     }
 }
 
-/// The bins that were visited at filter width number `width`, in their order.
-fn visits(runs: &[Sums], width: usize) -> Vec<BinVisits<'_>> {
-    let bins = runs.first().map_or(0, |run| run.layout.bins.len());
-    let empty = |bin| BinVisits { bin, edges: vec![], seen: vec![], total: vec![0.0; TERM_COUNT] };
-    let mut visited: Vec<BinVisits> = (0..bins).map(empty).collect();
+/// For each axis and bin the first and the last of those that it is put together with at filter width
+/// number `width`.
+fn groups(runs: &[&Sums], width: usize) -> Vec<Vec<[usize; 2]>> {
+    let Some(first) = runs.first() else { return vec![] };
+    let bins = &first.layout.bins;
+    let mut positions = vec![0.0; bins.len()];
+    for visits in runs.iter().flat_map(|run| &run.blocks).map(|block| &block.widths[width]) {
+        for (visit, &key) in visits.keys.iter().enumerate() {
+            positions[key as usize % bins.len()] += visits.of(visit)[Term::Positions as usize];
+        }
+    }
+    let along = |(number, axis): (usize, &Axis)| {
+        let mut of_axis = vec![0.0; axis.len()];
+        for (bin, positions) in positions.iter().enumerate() {
+            of_axis[bins.places(bin)[number]] += positions;
+        }
+        axis.groups(&of_axis)
+    };
+    bins.axes.iter().enumerate().map(along).collect()
+}
+
+/// The bins that were visited at filter width number `width`, put together as the `groups` of each
+/// axis say, in their order.
+fn visits<'a>(runs: &[&'a Sums], width: usize, groups: &[Vec<[usize; 2]>]) -> Vec<BinVisits<'a>> {
+    let Some(first) = runs.first() else { return vec![] };
+    let bins = &first.layout.bins;
+    let mut found: BTreeMap<usize, BinVisits> = BTreeMap::new();
     for (number, run) in runs.iter().enumerate() {
         for (block, of_block) in run.blocks.iter().enumerate() {
             let visits = &of_block.widths[width];
             for (visit, &key) in visits.keys.iter().enumerate() {
-                let (bin, place) = (key as usize % bins, key as usize / bins);
-                let (sums, spread) = (visits.of(visit), visits.spread(visit));
-                visited[bin].seen.push(Seen { run: number, block, place, sums, spread });
-                for (total, sum) in visited[bin].total.iter_mut().zip(sums) {
-                    *total += sum;
-                }
-            }
-        }
-    }
-    visited.retain(|bin| !bin.seen.is_empty());
-    runs.first().map_or(vec![], |run| together(visited, &run.layout.bins))
-}
-
-/// Puts the bins together that tables have together.
-fn together<'a>(visited: Vec<BinVisits<'a>>, bins: &Bins) -> Vec<BinVisits<'a>> {
-    let places: Vec<Vec<usize>> = visited.iter().map(|visits| bins.places(visits.bin)).collect();
-    let groups: Vec<Vec<[usize; 2]>> = (0..bins.axes.len())
-        .map(|number| {
-            let axis = &bins.axes[number];
-            let mut positions = vec![0.0; axis.len()];
-            for (visits, places) in visited.iter().zip(&places) {
-                positions[places[number]] += visits.total[Term::Positions as usize];
-            }
-            axis.groups(&positions)
-        })
-        .collect();
-    let mut found: BTreeMap<usize, BinVisits> = BTreeMap::new();
-    for (visits, places) in visited.into_iter().zip(places) {
-        let of_axis = |number: usize| groups[number][places[number]];
-        let bin = (0..places.len())
-            .rev()
-            .fold(0, |bin, number| bin * bins.axes[number].len() + of_axis(number)[0]);
-        let BinVisits { seen, total, .. } = visits;
-        match found.entry(bin) {
-            Entry::Vacant(place) => {
-                let edges = bins.axes.iter().enumerate().map(|(number, axis)| {
-                    let [first, last] = of_axis(number);
-                    [axis.edges[first], axis.edges[last + 1]]
+                let (bin, place) = (key as usize % bins.len(), key as usize / bins.len());
+                let spans: Vec<[usize; 2]> =
+                    bins.places(bin).iter().zip(groups).map(|(&at, group)| group[at]).collect();
+                let axes = bins.axes.iter().zip(&spans);
+                let bin =
+                    axes.clone().rev().fold(0, |bin, (axis, span)| bin * axis.len() + span[0]);
+                let edges = axes.map(|(axis, span)| [axis.edges[span[0]], axis.edges[span[1] + 1]]);
+                let of_bin = found.entry(bin).or_insert_with(|| BinVisits {
+                    edges: edges.collect(),
+                    seen: vec![],
+                    total: vec![0.0; TERM_COUNT],
                 });
-                let edges = edges.collect();
-                place.insert(BinVisits { bin, edges, seen, total });
-            }
-            Entry::Occupied(mut ours) => {
-                let ours = ours.get_mut();
-                ours.seen.extend(seen);
-                ours.total.iter_mut().zip(total).for_each(|(ours, theirs)| *ours += theirs);
+                let (sums, spread) = (visits.of(visit), visits.spread(visit));
+                of_bin.seen.push(Seen { run: number, block, place, sums, spread });
+                of_bin.total.iter_mut().zip(sums).for_each(|(total, sum)| *total += sum);
             }
         }
     }
-    let mut found: Vec<BinVisits> = found.into_values().collect();
-    for visits in &mut found {
-        visits.seen.sort_by_key(|seen| (seen.run, seen.block, seen.place));
-    }
-    found
+    found.into_values().collect()
 }
 
 /// The row of a quantity in a bin that was visited.
@@ -1062,6 +1128,10 @@ fn row(
         variance: mean(Marker::Variance),
         variance_low,
         variance_high,
+        extrapolated: None,
+        extrapolated_standard_error: None,
+        grid_error: None,
+        grid_standard_error: None,
     }
 }
 
@@ -1116,7 +1186,12 @@ pub(crate) mod tests {
 
     /// Sums of random fields in a flat box whose gas rises faster by `lift` \[m/s\].
     pub(crate) fn sampled_runs(lift: f64, instants: std::ops::Range<u64>) -> Sums {
-        let grid = Grid::new([0.032, 0.032], [16, 16]);
+        sampled_on([16, 16], lift, instants)
+    }
+
+    /// The same on a grid of so many cells.
+    pub(crate) fn sampled_on(cells: [usize; 2], lift: f64, instants: std::ops::Range<u64>) -> Sums {
+        let grid = Grid::new([0.032, 0.032], cells);
         let mut sampler = sampler(grid, &[0.004, 0.008], None);
         for instant in instants {
             let mut fields = random_fields(grid, instant);

@@ -2,7 +2,7 @@
 //!
 //! Every run leaves its sums in `sums.favre`: for each box those of its steady part.
 //!
-//! # Format of [`SumsFile`], version 1
+//! # Format of [`SumsFile`], version 2
 //!
 //! Numbers are little-endian; a list is its length (u64) and its elements; a text is its length and
 //! UTF-8.
@@ -25,18 +25,19 @@
 //! | simulated dimensions | u64 |
 //! | ρ_s, ρ_g \[kg/m³\] | f64, f64 |
 //! | number of the [`Kernel`] | u64 |
+//! | edge of a cell along each axis \[m\] | list of f64 |
 //! | filter widths \[m\] | list of f64 |
 //! | axes of the bins: number of the [`Marker`], quantiles or 0, edges | list of u64, u64 and list of f64 |
 //! | duration of a block \[s\] | f64 |
 //! | blocks of space along each axis | three u64 |
-//! | number of terms, number of quantities | u64, u64 |
+//! | number of terms in these dimensions, number of quantities | u64, u64 |
 //! | blocks: place, instants, filter widths | list of u64, u64 and list of visits |
 //! | visits: keys; sums of the terms; spreads | list of u64, list of f64, list of f64 |
 
 use crate::binary::{
     Fault, Source, open, put, put_list, put_text, take, take_list, take_text, write_to,
 };
-use crate::filtered::{QUANTITY_COUNT, TERM_COUNT};
+use crate::filtered::{QUANTITY_COUNT, TERM_COUNT, own_terms};
 use crate::laws::scales::{Gas, Powder, Scales};
 use crate::spectral::Kernel;
 use crate::statistics::{Axis, Bins, BlockSums, Layout, Marker, SPREAD, Sums, Visits};
@@ -47,7 +48,7 @@ use std::path::{Path, PathBuf};
 const MAGIC: &[u8; 8] = b"favresum";
 
 /// Version of the format.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// Name of the file of sums in the folder of a run.
 pub const SUMS_FILE: &str = "sums.favre";
@@ -196,10 +197,12 @@ impl SumsFile {
 
 /// Writes sums.
 pub(crate) fn put_sums(to: &mut dyn Write, sums: &Sums) -> io::Result<()> {
-    let Layout { dimension, densities, kernel, widths, bins, block_duration, space } = &sums.layout;
+    let Layout { dimension, densities, kernel, spacing, widths, bins, block_duration, space } =
+        &sums.layout;
     put(to, *dimension as u64)?;
     densities.iter().try_for_each(|density| put(to, *density))?;
     put(to, *kernel as u64)?;
+    put_list(to, spacing)?;
     put_list(to, widths)?;
     put(to, bins.axes.len() as u64)?;
     for Axis { marker, edges, quantiles } in &bins.axes {
@@ -209,7 +212,8 @@ pub(crate) fn put_sums(to: &mut dyn Write, sums: &Sums) -> io::Result<()> {
     }
     put(to, *block_duration)?;
     space.iter().try_for_each(|blocks| put(to, *blocks as u64))?;
-    put(to, TERM_COUNT as u64)?;
+    let terms = own_terms(*dimension);
+    put(to, terms as u64)?;
     put(to, QUANTITY_COUNT as u64)?;
     put(to, sums.blocks.len() as u64)?;
     for BlockSums { place, instants, widths } in &sums.blocks {
@@ -219,7 +223,10 @@ pub(crate) fn put_sums(to: &mut dyn Write, sums: &Sums) -> io::Result<()> {
         for Visits { keys, sums, spreads } in widths {
             put(to, keys.len() as u64)?;
             keys.iter().try_for_each(|key| put(to, u64::from(*key)))?;
-            put_list(to, sums)?;
+            // Without what two dimensions lack and what fills up the last lanes: zeros.
+            put(to, (keys.len() * terms) as u64)?;
+            let mut own = sums.chunks(TERM_COUNT).flat_map(|sums| &sums[..terms]);
+            own.try_for_each(|sum| put(to, *sum))?;
             put_list(to, spreads)?;
         }
     }
@@ -233,6 +240,10 @@ pub(crate) fn take_sums(from: &mut Source) -> Result<Sums, Fault> {
     let number = take::<u64>(from)?;
     let kernel = usize::try_from(number).ok().and_then(|n| Kernel::ALL.get(n)).copied();
     let kernel = kernel.ok_or_else(|| Fault::damaged("it has an unknown filter kernel"))?;
+    let spacing = take_list(from)?;
+    if spacing.len() != dimension || spacing.iter().any(|edge| !(edge.is_finite() && *edge > 0.0)) {
+        return Err(Fault::damaged("its cells have no edges"));
+    }
     let widths = take_list(from)?;
     let axes = (0..from.len(24)?)
         .map(|_| {
@@ -262,7 +273,8 @@ pub(crate) fn take_sums(from: &mut Source) -> Result<Sums, Fault> {
     let Some(keys) = keys.filter(|_| block_duration > 0.0 && (2..=3).contains(&dimension)) else {
         return Err(Fault::damaged("its sums are of no blocks"));
     };
-    for (what, ours) in [("terms", TERM_COUNT), ("quantities", QUANTITY_COUNT)] {
+    let terms = own_terms(dimension);
+    for (what, ours) in [("terms", terms), ("quantities", QUANTITY_COUNT)] {
         let theirs: u64 = take(from)?;
         if theirs != ours as u64 {
             let what = format!("its sums are of {theirs} {what} instead of {ours}");
@@ -273,7 +285,7 @@ pub(crate) fn take_sums(from: &mut Source) -> Result<Sums, Fault> {
         .map(|_| {
             let (place, instants) = (take(from)?, take(from)?);
             let of_widths = (0..from.len(24)?)
-                .map(|_| take_visits(from, keys))
+                .map(|_| take_visits(from, keys, terms))
                 .collect::<Result<Vec<Visits>, Fault>>()?;
             if of_widths.len() != widths.len() {
                 return Err(Fault::damaged("its sums have other widths than they say"));
@@ -282,23 +294,36 @@ pub(crate) fn take_sums(from: &mut Source) -> Result<Sums, Fault> {
         })
         .collect::<Result<_, Fault>>()?;
     Ok(Sums {
-        layout: Layout { dimension, densities, kernel, widths, bins, block_duration, space },
+        layout: Layout {
+            dimension,
+            densities,
+            kernel,
+            spacing,
+            widths,
+            bins,
+            block_duration,
+            space,
+        },
         blocks,
     })
 }
 
-fn take_visits(from: &mut Source, bins: usize) -> Result<Visits, Fault> {
+fn take_visits(from: &mut Source, bins: usize, terms: usize) -> Result<Visits, Fault> {
     let keys = (0..from.len(8)?)
         .map(|_| match take::<u64>(from)? {
             key if key < bins as u64 => Ok(key as u32),
             _ => Err(Fault::damaged("its sums have other bins than they say")),
         })
         .collect::<Result<Vec<u32>, Fault>>()?;
-    let (sums, spreads) = (take_list(from)?, take_list(from)?);
-    let whole = sums.len() == keys.len() * TERM_COUNT
+    let (own, spreads) = (take_list(from)?, take_list(from)?);
+    let whole = own.len() == keys.len() * terms
         && (spreads.is_empty() || spreads.len() == keys.len() * SPREAD);
     if !whole {
         return Err(Fault::damaged("its sums have other terms than they say"));
+    }
+    let mut sums = vec![0.0; keys.len() * TERM_COUNT];
+    for (sums, own) in sums.chunks_mut(TERM_COUNT).zip(own.chunks(terms)) {
+        sums[..terms].copy_from_slice(own);
     }
     Ok(Visits { keys, sums, spreads })
 }

@@ -156,10 +156,42 @@ pub struct BinRow {
     /// Upper edge of that bin [-]; inf if it is no marker.
     #[serde(rename = "solids_fraction_variance_high [-]")]
     pub variance_high: f64,
+    /// Where runs on several grids were pooled, of which `value` is that on the finest: the value on
+    /// infinitely fine cells.
+    #[serde(default)]
+    pub extrapolated: Option<f64>,
+    /// Its standard error from sampling, an observed order of convergence and misfit included.
+    #[serde(default)]
+    pub extrapolated_standard_error: Option<f64>,
+    /// Grid error of the finest grid, `value` − `extrapolated`.
+    #[serde(default)]
+    pub grid_error: Option<f64>,
+    /// Its standard error, likewise.
+    #[serde(default)]
+    pub grid_standard_error: Option<f64>,
 }
 
-/// Columns of a bin table, in the order of [`BinRow`]'s fields.
-pub const BIN_COLUMNS: [&str; 33] = [
+impl BinRow {
+    /// Quantity, and filter width and lower edges of the bin, as their bits: what rows of different
+    /// tables are compared by.
+    pub fn bin(&self) -> (&str, [u64; 8]) {
+        let lower = [
+            self.filter_width,
+            self.solids_fraction_low,
+            self.slip_low,
+            self.slip_speed_low,
+            self.pressure_gradient_low,
+            self.shear_rate_low,
+            self.fraction_gradient_low,
+            self.variance_low,
+        ];
+        (&self.quantity, lower.map(f64::to_bits))
+    }
+}
+
+/// Columns of a bin table, in the order of [`BinRow`]'s fields. The last four are empty where there was
+/// one grid only, and may be missing.
+pub const BIN_COLUMNS: [&str; 37] = [
     "quantity",
     "unit",
     "filter_width [m]",
@@ -193,7 +225,14 @@ pub const BIN_COLUMNS: [&str; 33] = [
     "solids_fraction_variance [-]",
     "solids_fraction_variance_low [-]",
     "solids_fraction_variance_high [-]",
+    "extrapolated",
+    "extrapolated_standard_error",
+    "grid_error",
+    "grid_standard_error",
 ];
+
+/// How many of them must be there.
+const REQUIRED_COLUMNS: usize = 33;
 
 /// One quantity at one filter width and one filtered solids fraction: long format, so that any
 /// quantity fits in. A solver reads the rows of one `quantity`, which form a full grid of filter
@@ -278,7 +317,9 @@ pub fn parse_bins(reader: impl Read, path: &Path) -> Result<Vec<BinRow>, TableEr
             return Err(TableError::ExtraColumn { path: path.into(), column: column.into() });
         }
     }
-    if let Some(column) = BIN_COLUMNS.into_iter().find(|c| !headers.iter().any(|h| h == *c)) {
+    if let Some(column) =
+        BIN_COLUMNS[..REQUIRED_COLUMNS].iter().find(|c| !headers.iter().any(|h| h == **c))
+    {
         let expected = BIN_COLUMNS.join(", ");
         return Err(TableError::MissingColumn { path: path.into(), column, expected });
     }
@@ -369,6 +410,17 @@ fn impossible(row: &BinRow) -> Option<(&'static str, &'static str)> {
             return Some((BIN_COLUMNS[19 + 3 * marker], "must be a number below the upper edge"));
         }
     }
+    let of_grids = [
+        row.extrapolated,
+        row.extrapolated_standard_error,
+        row.grid_error,
+        row.grid_standard_error,
+    ];
+    for (column, x) in BIN_COLUMNS[REQUIRED_COLUMNS..].iter().zip(of_grids) {
+        if x.is_some_and(|x| !x.is_finite()) {
+            return Some((column, "must be finite, or empty"));
+        }
+    }
     None
 }
 
@@ -413,6 +465,10 @@ pub(crate) mod tests {
             variance: 0.5,
             variance_low: f64::NEG_INFINITY,
             variance_high: f64::INFINITY,
+            extrapolated: None,
+            extrapolated_standard_error: None,
+            grid_error: None,
+            grid_standard_error: None,
         }
     }
 
@@ -488,11 +544,24 @@ pub(crate) mod tests {
             message(&text.replace("standard_error", "sigma"))
                 .starts_with("bins.csv: line 1: column `sigma` is unknown or given twice")
         );
-        let without: Vec<&str> =
-            text.lines().map(|line| line.rsplit_once(',').unwrap().0).collect();
-        assert!(message(&without.join("\n")).starts_with(
+        // Tables of before there were several grids have no columns for them.
+        let without = |columns: usize| {
+            let fields = |line: &str| {
+                line.split(',').take(BIN_COLUMNS.len() - columns).collect::<Vec<_>>().join(",")
+            };
+            text.lines().map(fields).collect::<Vec<_>>().join("\n")
+        };
+        assert_eq!(parsed(&without(4)).unwrap(), [good.clone(), good.clone()]);
+        assert!(message(&without(5)).starts_with(
             "bins.csv: line 1: column `solids_fraction_variance_high [-]` is missing"
         ));
+        assert_eq!(
+            spoil(&|r| r.grid_error = Some(f64::INFINITY)),
+            "bins.csv: line 3, column `grid_error`: `inf`: must be finite, or empty"
+        );
+        let mut extrapolated = good.clone();
+        extrapolated.extrapolated = Some(0.25);
+        assert_eq!(parsed(&written(&[extrapolated.clone()])).unwrap(), [extrapolated]);
         assert!(message(text.lines().next().unwrap()).starts_with("bins.csv: no rows"));
         let missing = read_bins(Path::new("no/such/bins.csv")).unwrap_err().to_string();
         assert!(missing.starts_with("no/such/bins.csv: "), "{missing}");

@@ -39,7 +39,10 @@ pub fn terms(case: &Case) -> Vec<Term> {
         }
         Some(onset) => format!("acts above φ = {onset:.3}, and ⟨φ⟩ = {most} does"),
     };
-    let viscous = with_friction!(physics.friction, f64, powder, |friction| is_viscous(&friction));
+    let viscous =
+        with_friction!(physics.friction, f64, powder, scales.terminal_velocity, |friction| {
+            is_viscous(&friction)
+        });
     // Stokes's drag on a sphere: its fluctuations lose their energy at 3 K/ρ_s, K = 18 μ_g/d².
     let memory = powder.density * powder.diameter.powi(2) / (54.0 * gas.viscosity);
     let transported = chosen.granular_energy == GranularEnergyChoice::Transport;
@@ -80,9 +83,9 @@ fn is_viscous<F: Friction<f64>>(_: &F) -> bool {
 
 /// The solids fraction above which the frictional pressure of `case` acts; none if nowhere.
 fn friction_onset(case: &Case) -> Option<f64> {
-    let powder = &case.powder;
+    let (powder, u_t) = (&case.powder, case.scales().terminal_velocity);
     let acts = |phi: f64| {
-        with_friction!(case.physics.friction, f64, powder, |friction| {
+        with_friction!(case.physics.friction, f64, powder, u_t, |friction| {
             friction.pressure(phi).0 > 0.0
         })
     };

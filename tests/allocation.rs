@@ -1,8 +1,10 @@
 //! A step allocates nothing.
 
+mod common;
+
+use common::{GAS, POWDER};
 use favre::case::{DragChoice, FrictionChoice, RadialDistributionChoice, Terms};
 use favre::grid::Grid;
-use favre::laws::scales::{Gas, Powder};
 use favre::two_fluid::{Setup, TwoFluid};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -32,8 +34,8 @@ static ALLOCATOR: Counting = Counting;
 
 fn allocations_of_steps<const D: usize>(cells: [usize; D]) -> usize {
     let setup = Setup {
-        powder: Powder { diameter: 75e-6, density: 1500.0, restitution: 0.9, max_packing: 0.65 },
-        gas: Gas { density: 1.3, viscosity: 1.8e-5 },
+        powder: POWDER,
+        gas: GAS,
         gravity: 9.81,
         drag: DragChoice::WenYu,
         radial_distribution: RadialDistributionChoice::Princeton,

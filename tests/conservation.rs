@@ -1,14 +1,16 @@
 //! What the two-fluid model must keep to round-off, over ten thousand steps.
 
+mod common;
+
+use common::{GAS, POWDER};
 use favre::case::{DragChoice, FrictionChoice, RadialDistributionChoice, Terms};
 use favre::grid::Grid;
-use favre::laws::scales::{Gas, Powder};
 use favre::two_fluid::{Setup, TwoFluid};
 
 fn setup(solids_fraction: f64) -> Setup {
     Setup {
-        powder: Powder { diameter: 75e-6, density: 1500.0, restitution: 0.9, max_packing: 0.65 },
-        gas: Gas { density: 1.3, viscosity: 1.8e-5 },
+        powder: POWDER,
+        gas: GAS,
         gravity: 9.81,
         drag: DragChoice::WenYu,
         radial_distribution: RadialDistributionChoice::Princeton,

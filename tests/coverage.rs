@@ -2,19 +2,18 @@
 //! Ornstein-Uhlenbeck processes in space and time go through the whole chain, filter, bins, sums and
 //! table, 1,000 times, and their ratios are known.
 
+mod common;
+
+use common::{GAS, POWDER};
 use favre::fine::FineFields;
 use favre::grid::Grid;
 use favre::laws::drag::WenYu;
-use favre::laws::scales::{Gas, Powder, Scales};
+use favre::laws::scales::Scales;
 use favre::spectral::Kernel;
 use favre::statistics::{Axis, Bins, Marker, Sampler, Sampling, bin_table};
 use favre::table::BinRow;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-
-const POWDER: Powder =
-    Powder { diameter: 75e-6, density: 1500.0, restitution: 0.9, max_packing: 0.65 };
-const GAS: Gas = Gas { density: 1.3, viscosity: 1.8e-5 };
 
 const REPLICAS: u64 = 1000;
 const EDGE: usize = 8;

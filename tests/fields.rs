@@ -7,7 +7,10 @@
 // A loop over the axes, or over cells, indexes several arrays at once.
 #![allow(clippy::needless_range_loop)]
 
+mod common;
+
 use assert_cmd::cargo::cargo_bin;
+use common::SYSTEM;
 use favre::resolved::map::Map;
 use favre::resolved::openfoam::{self, Mesh};
 use favre::resolved::series::{Reader, runs};
@@ -16,16 +19,6 @@ use favre::stored::Pressure;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-
-const POWDER: &str = r#"[powder]
-diameter = 75e-6
-density = 1500.0
-restitution = 0.9
-max_packing = 0.65
-[gas]
-density = 1.3
-viscosity = 1.8e-5
-"#;
 
 fn favre(dir: &Path, arguments: &[&str]) -> Output {
     Command::new(cargo_bin!("favre")).current_dir(dir).args(arguments).output().unwrap()
@@ -73,7 +66,7 @@ fn bins(dir: &Path, run: &str) -> String {
 
 /// Simulates and keeps the fields in `format`, and gives the bins of the flight.
 fn fly(dir: &Path, domain: &str, format: &str) -> String {
-    let case = format!("{POWDER}{domain}[output]\nfields = \"{format}\"\n");
+    let case = format!("{SYSTEM}{domain}[output]\nfields = \"{format}\"\n");
     fs::write(dir.join("case.toml"), case).unwrap();
     succeeds(dir, &["simulate", "case.toml", "--out", "flight", "--quiet"]);
     assert!(!dir.join("flight.checkpoint").exists());
@@ -447,7 +440,7 @@ fn a_case_of_the_real_openfoam_is_read_in_ascii_and_binary_and_renumbered() {
         assert_eq!(String::from_utf8_lossy(&file[..800]).contains("binary"), format == "binary");
 
         // By the map: axes turned so that the last is vertical, and p from p_rgh.
-        fs::write(dir.join("map.toml"), format!("{POWDER}[filter]\nwidths = [0.002]\n")).unwrap();
+        fs::write(dir.join("map.toml"), format!("{SYSTEM}[filter]\nwidths = [0.002]\n")).unwrap();
         let map = Map::load(&dir.join("map.toml")).unwrap();
         let all = runs(&[dir.to_owned()], &map).unwrap();
         assert_eq!((all.len(), all[0].len(), all[0][0].time), (1, 1, 0.5));
@@ -540,7 +533,7 @@ widths = [0.002]
 /// The message when the file or the map are spoiled by replacing one text by another.
 fn spoiled(file: (&str, &str), map: (&str, &str)) -> String {
     let folder = tempfile::tempdir().unwrap();
-    let whole = format!("{MAP}{POWDER}");
+    let whole = format!("{MAP}{SYSTEM}");
     for (text, (from, _)) in [(vti(), file), (whole.clone(), map)] {
         assert!(text.contains(from), "{from}");
     }
@@ -554,7 +547,7 @@ fn sound_fields_are_filtered() {
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path();
     fs::write(dir.join("a.vti"), vti()).unwrap();
-    fs::write(dir.join("map.toml"), format!("{MAP}{POWDER}")).unwrap();
+    fs::write(dir.join("map.toml"), format!("{MAP}{SYSTEM}")).unwrap();
     succeeds(dir, &["filter", "a.vti", "--map", "map.toml", "--out", "bins"]);
     let table = bins(dir, "bins");
     let slips: Vec<f64> = table
@@ -645,7 +638,7 @@ fn fields_that_cannot_be_used_are_refused_with_place_and_remedy() {
     // What is only implausible is taken on trust.
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("a.vti"), vti()).unwrap();
-    let map = format!("trust = true\n{MAP}{POWDER}").replace("\"V_g\"]", "\"100 * V_g\"]");
+    let map = format!("trust = true\n{MAP}{SYSTEM}").replace("\"V_g\"]", "\"100 * V_g\"]");
     fs::write(folder.path().join("map.toml"), map).unwrap();
     succeeds(folder.path(), &["filter", "a.vti", "--map", "map.toml", "--out", "bins"]);
 }
@@ -657,7 +650,7 @@ fn files_that_do_not_go_together_are_refused() {
     let write = |name: &str, text: &str| fs::write(dir.join(name), text).unwrap();
     write("a.vti", &vti());
     write("same.vti", &vti());
-    write("map.toml", &format!("{MAP}{POWDER}"));
+    write("map.toml", &format!("{MAP}{SYSTEM}"));
     let finer = vti().replace(">0.5<", ">0.6<").replace("0.001 0.001 1", "0.0005 0.0005 1");
     write("finer.vti", &finer);
     let timeless = vti().replace("TimeValue", "other");
@@ -705,7 +698,7 @@ np.savez('wrong.npz', phi=phi, u=u[:, :-1], v=v)
 ",
     );
     let map = format!(
-        "{POWDER}[fields]\nsolids_fraction = \"phi\"\nsolids_velocity = \"u\"\ngas_velocity = \"v\"\n\
+        "{SYSTEM}[fields]\nsolids_fraction = \"phi\"\nsolids_velocity = \"u\"\ngas_velocity = \"v\"\n\
          [filter]\nwidths = [0.002]\n[grid]\nperiodic = [\"x\", \"y\"]\n"
     );
     let write = |rest: &str| fs::write(dir.join("map.toml"), format!("{map}{rest}")).unwrap();
@@ -741,6 +734,80 @@ np.savez('wrong.npz', phi=phi, u=u[:, :-1], v=v)
 }
 
 #[test]
+fn particles_of_the_real_vtk_and_numpy_are_deposited() {
+    let (Some(python), Some(numpy)) = (python("vtk"), python("numpy")) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    // The gas on a grid as NumPy writes it, packed and not; a particle of a fifth of a millimetre at the
+    // centre of each cell of 1 mm, in a box of 4 x 5 x 6 cells.
+    run_python(
+        &numpy,
+        dir,
+        "import numpy as np
+shape = (6, 5, 4)
+fields = dict(p=np.zeros(shape), v=np.zeros(shape + (3,)), axes=np.frombuffer(b'zyx', 'u1'), time=0.5)
+fields['v'][..., 2] = 0.3
+np.savez('gas.npz', **fields)
+np.savez_compressed('packed.npz', **fields)",
+    );
+    run_python(
+        &python,
+        dir,
+        "import vtk
+points = vtk.vtkPoints(); points.SetDataTypeToDouble()
+velocity = vtk.vtkDoubleArray(); velocity.SetName('velocity'); velocity.SetNumberOfComponents(3)
+diameter = vtk.vtkDoubleArray(); diameter.SetName('diameter')
+kind = vtk.vtkIntArray(); kind.SetName('kind')
+for n in range(120):
+    i, j, k = n % 4, n // 4 % 5, n // 20
+    points.InsertNextPoint(0.001 * (i + 0.5), 0.001 * (j + 0.5), 0.001 * (k + 0.5))
+    velocity.InsertNextTuple3(0.01 * i, 0.02 * j, -0.1 * k); diameter.InsertNextValue(0.0002); kind.InsertNextValue(n)
+time = vtk.vtkDoubleArray(); time.SetName('TimeValue'); time.InsertNextValue(0.5)
+cloud = vtk.vtkPolyData(); cloud.SetPoints(points)
+for a in (velocity, diameter, kind): cloud.GetPointData().AddArray(a)
+cloud.GetFieldData().AddArray(time)
+vertices = vtk.vtkVertexGlyphFilter(); vertices.SetInputData(cloud); vertices.Update()
+for name, data in (('bare', cloud), ('vertices', vertices.GetOutput())):
+    for kind in ('ascii', 'binary', 'appended', 'raw', 'lz4'):
+        writer = vtk.vtkXMLPolyDataWriter(); writer.SetFileName(name + '_' + kind + '.vtp'); writer.SetInputData(data)
+        if kind == 'ascii': writer.SetDataModeToAscii()
+        if kind == 'binary': writer.SetDataModeToBinary()
+        if kind == 'raw': writer.EncodeAppendedDataOff(); writer.SetCompressorTypeToNone()
+        if kind == 'lz4': writer.SetCompressorTypeToLZ4()
+        assert writer.Write() == 1",
+    );
+    let map = format!(
+        "{SYSTEM}[fields]\ngas_velocity = \"v\"\n[grid]\nsize = [0.004, 0.005, 0.006]\n\
+         vertical = \"z\"\nperiodic = []\n[filter]\nwidths = [0.002]\n"
+    );
+    fs::write(dir.join("map.toml"), &map).unwrap();
+    let map = Map::load(&dir.join("map.toml")).unwrap();
+    let volume = std::f64::consts::PI / 6.0 * 0.0002f64.powi(3);
+    for name in ["bare", "vertices"] {
+        for kind in ["ascii", "binary", "appended", "raw", "lz4"] {
+            for gas in ["gas.npz", "packed.npz"] {
+                let cloud = format!("{name}_{kind}.vtp");
+                let all = runs(&[dir.join(gas), dir.join(&cloud)], &map).unwrap();
+                let read = Reader::new(&map).read(&all[0][0], 1.0).unwrap().fields;
+                assert_eq!((&read.cells[..], read.time), (&[4, 5, 6][..], 0.5), "{cloud}");
+                for n in 0..120 {
+                    let [i, j, k] = [n % 4, n / 4 % 5, n / 20].map(|at| at as f64);
+                    assert!(
+                        (read.solids_fraction[n] / (volume * 1e9) - 1.0).abs() < 1e-9,
+                        "{cloud}"
+                    );
+                    for (axis, u) in [0.01 * i, 0.02 * j, -0.1 * k].into_iter().enumerate() {
+                        assert!((read.solids_velocity[axis][n] - u).abs() < 1e-9, "{cloud} {n}");
+                    }
+                    assert_eq!(read.gas_velocity[2][n], 0.3);
+                }
+            }
+        }
+    }
+    succeeds(dir, &["filter", "gas.npz", "bare_raw.vtp", "--map", "map.toml", "--out", "bins"]);
+}
+
+#[test]
 fn particles_are_deposited_beside_the_gas_of_a_grid() {
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path();
@@ -755,7 +822,7 @@ fn particles_are_deposited_beside_the_gas_of_a_grid() {
     fs::write(dir.join("particles.csv"), &table).unwrap();
     let map = format!(
         "{}[particles]\nposition = [\"x\", \"y\"]\nvelocity = [\"vx\", \"vy\"]\n",
-        format!("{MAP}{POWDER}")
+        format!("{MAP}{SYSTEM}")
             .replace("solids_fraction = \"phi\"", "")
             .replace("solids_velocity = \"Us\"", "solids_velocity = \"solids_velocity\"")
     );

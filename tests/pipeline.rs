@@ -1,6 +1,9 @@
 //! The whole chain through the binary: every example, the same bytes again, what the tables say.
 
+mod common;
+
 use assert_cmd::Command;
+use common::SYSTEM;
 use favre::model::Model;
 use favre::table::{BinRow, read_bins};
 use std::fs;
@@ -8,14 +11,6 @@ use std::path::Path;
 
 /// A box that clusters within seconds.
 const SMALL: &str = r#"
-[powder]
-diameter = 75e-6
-density = 1500.0
-restitution = 0.9
-max_packing = 0.65
-[gas]
-density = 1.3
-viscosity = 1.8e-5
 [box]
 size = [0.08, 0.08]
 cells = [64, 64]
@@ -63,7 +58,7 @@ fn every_example_runs_shortened() {
 fn a_clustered_box_gives_a_closure_and_the_same_bytes_again() {
     let folder = tempfile::tempdir().unwrap();
     let case = folder.path().join("small.toml");
-    fs::write(&case, SMALL).unwrap();
+    fs::write(&case, [SYSTEM, SMALL].concat()).unwrap();
     let (first, second) = (folder.path().join("first"), folder.path().join("second"));
     run(&case, &first, &["--threads", "2"]);
     run(&case, &second, &["--threads", "1"]);
@@ -115,7 +110,8 @@ fn runs_are_pooled_from_their_sums() {
         "markers = [\"solids_fraction\", \"shear_rate\"]\nshear_rate_edges = \"3 quantiles\"\n";
     for seed in [1, 2] {
         let case = at(&format!("seed-{seed}.toml"));
-        let text = SMALL.replace("[run]", &format!("{markers}[run]\nseed = {seed}"));
+        let text =
+            [SYSTEM, SMALL].concat().replace("[run]", &format!("{markers}[run]\nseed = {seed}"));
         fs::write(&case, text).unwrap();
         run(&case, &at(&seed.to_string()), &["--duration", "30 u_t/g"]);
     }
@@ -146,4 +142,55 @@ fn runs_are_pooled_from_their_sums() {
     assert!(said.contains("a run counts once"), "{said}");
     assert!(!at("twice").exists());
     filter(&["none"], "nothing").failure().code(2);
+}
+
+#[test]
+fn runs_on_two_grids_are_extrapolated_and_not_averaged() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    for cells in ["32", "64"] {
+        let case = at(&format!("{cells}.toml"));
+        let text = [SYSTEM, SMALL]
+            .concat()
+            .replace("[64, 64]", &format!("[{cells}, {cells}]"))
+            .replace("[0.005, 0.01, 0.02, 0.04]", "[0.01, 0.02]");
+        fs::write(&case, text).unwrap();
+        run(&case, &at(cells), &["--duration", "40 u_t/g"]);
+    }
+    let filter = |arguments: &[&str], out: &str| {
+        let mut command = Command::cargo_bin("favre").unwrap();
+        command.arg("filter").args([at("32"), at("64")]).args(arguments).arg("--out").arg(at(out));
+        command.assert()
+    };
+    let said = filter(&[], "both").success();
+    let said = String::from_utf8(said.get_output().stdout.clone()).unwrap();
+    assert!(said.contains("2 grids, cells of 1.2500 mm, 2.5000 mm"), "{said}");
+    assert!(said.contains("stated order 1.00"), "{said}");
+    // Values are those on the finer grid, bit for bit.
+    let [both, fine, coarse] =
+        ["both", "64", "32"].map(|name| read_bins(&at(name).join("bins.csv")).unwrap());
+    assert_eq!(both.len(), fine.len());
+    let mut extrapolated = 0;
+    for (row, fine) in both.iter().zip(&fine) {
+        assert_eq!((row.value, row.standard_error), (fine.value, fine.standard_error));
+        let Some(coarse) = coarse.iter().find(|coarse| coarse.bin() == row.bin()) else { continue };
+        let Some(limit) = row.extrapolated else { continue };
+        // At first order and twice the cells: 2 f(h) - f(2 h).
+        let expected = 2.0 * row.value - coarse.value;
+        let size = row.value.abs().max(coarse.value.abs());
+        assert!((limit - expected).abs() < 1e-9 * size, "{row:?}");
+        assert!((row.grid_error.unwrap() - (coarse.value - row.value)).abs() < 1e-9 * size);
+        let error = (2.0 * row.standard_error).hypot(coarse.standard_error);
+        assert!((row.extrapolated_standard_error.unwrap() - error).abs() <= 1e-9 * error);
+        extrapolated += 1;
+    }
+    assert!(extrapolated > 200, "{extrapolated}");
+    // Of second order the finer grid is a third of the difference off.
+    filter(&["--grid-order", "2"], "second").success();
+    let second = read_bins(&at("second").join("bins.csv")).unwrap();
+    let error = |rows: &[BinRow]| rows.iter().find_map(|row| row.grid_error).unwrap();
+    assert!((3.0 * error(&second) - error(&both)).abs() < 1e-9 * error(&both).abs());
+    let refused = filter(&["--grid-order", "0"], "none").failure().code(2);
+    let said = String::from_utf8(refused.get_output().stderr.clone()).unwrap();
+    assert!(said.contains("0.1 to 10"), "{said}");
 }

@@ -2,21 +2,14 @@
 
 #![cfg(target_os = "linux")]
 
+mod common;
+
 use assert_cmd::cargo::cargo_bin;
+use common::SYSTEM;
 use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
-
-const POWDER: &str = r#"[powder]
-diameter = 75e-6
-density = 1500.0
-restitution = 0.9
-max_packing = 0.65
-[gas]
-density = 1.3
-viscosity = 1.8e-5
-"#;
 
 /// Three boxes, so that on two threads one is done, one under way and one not begun, now and then.
 const FLAT: &str = r#"[box]
@@ -123,7 +116,7 @@ fn assert_same(found: &Path, expected: &Path) {
 fn resumed_equals_uninterrupted(case: &str, signals: &[(&str, [&str; 2], u64)]) {
     let base = tempfile::tempdir().unwrap();
     let dir = base.path();
-    fs::write(dir.join("case.toml"), [POWDER, case].concat()).unwrap();
+    fs::write(dir.join("case.toml"), [SYSTEM, case].concat()).unwrap();
     let (status, message) = run(dir, &["--out", "whole", "--quiet"]);
     assert_eq!((status, message.as_str()), (Some(0), ""));
     for (n, (signal, threads, more)) in signals.iter().enumerate() {
@@ -167,7 +160,7 @@ fn a_resumed_run_has_the_bytes_of_one_that_was_not_interrupted() {
 fn what_cannot_be_resumed_is_one_clear_message() {
     let base = tempfile::tempdir().unwrap();
     let dir = base.path();
-    let text = [POWDER, SOLID].concat();
+    let text = [SYSTEM, SOLID].concat();
     fs::write(dir.join("case.toml"), &text).unwrap();
     let refused = |arguments: &[&str], parts: &[&str]| {
         let (status, message) = run(dir, &[&["--out", "out"], arguments].concat());
@@ -215,7 +208,7 @@ fn what_cannot_be_resumed_is_one_clear_message() {
 fn a_run_whose_files_could_not_be_written_goes_on_from_its_end() {
     let base = tempfile::tempdir().unwrap();
     let dir = base.path();
-    fs::write(dir.join("case.toml"), [POWDER, SOLID].concat()).unwrap();
+    fs::write(dir.join("case.toml"), [SYSTEM, SOLID].concat()).unwrap();
     let child = start(dir, &[&["--out", "out", "--quiet"], OFTEN].concat());
     wait_for_a_box(dir, "out", 0);
     // A folder has the name that a table is to have.

@@ -12,6 +12,7 @@ use crate::case::{
     Case, DEFAULT, DragChoice, FrictionChoice, GranularEnergyChoice, Physics, Precision,
     RadialDistributionChoice,
 };
+use crate::extrapolation::{ASSUMED_ORDER, OnGrid, PRECISE, limit, observed_order};
 use crate::fine::FineFields;
 use crate::grid::Grid;
 use crate::real::Real;
@@ -180,11 +181,12 @@ pub fn measure(quick: bool, mut watch: impl FnMut(&Point)) -> Result<Report, Ben
     }
     let mut grids: Vec<&Point> = points.iter().filter(|p| p.group == Group::Grid).collect();
     grids.sort_by_key(|point| point.cells[0]);
-    let slips: Vec<Found> = grids.iter().map(|point| point.found[0]).collect();
-    let extrapolation = match slips[..] {
-        [.., coarse, middle, fine] => Some(extrapolate([coarse, middle, fine])),
-        _ => None,
+    let on_grid = |point: &&Point| {
+        let Found { value, standard_error, .. } = point.found[0];
+        OnGrid { cell: size[0] / point.cells[0] as f64, value, standard_error }
     };
+    let extrapolation =
+        grids.last_chunk::<3>().and_then(|finest| extrapolate(&finest.each_ref().map(on_grid)));
     Ok(Report { size, duration, points, extrapolation, seconds: begin.elapsed().as_secs_f64() })
 }
 
@@ -375,23 +377,17 @@ fn simulate<R: Real>(case: &Case, variant: &Variant, longest: f64) -> Result<Run
     Ok(Run { signals, sums: sampler.into_sums(), spent })
 }
 
-/// Richardson's extrapolation of a value on three grids, each twice as fine as the one before.
-///
-/// With differences a = f₁ - f₂, b = f₂ - f₃ the order is log₂(a/b), taken as observed between 1/2
-/// and 2, and as first where the values do not show one; f = f₃ - b/(2^p - 1).
-fn extrapolate([coarse, middle, fine]: [Found; 3]) -> Extrapolation {
-    let [a, b] = [coarse.value - middle.value, middle.value - fine.value];
-    let seen = (a / b).log2();
-    let observed = (0.5..=2.0).contains(&seen);
-    let order = if observed { seen } else { 1.0 };
-    let weight = 1.0 / (2f64.powf(order) - 1.0);
-    Extrapolation {
+/// The limit of infinitely fine cells of the slip on three grids.
+fn extrapolate(grids: &[OnGrid; 3]) -> Option<Extrapolation> {
+    let observed = observed_order(&[grids.to_vec()], PRECISE);
+    let order = observed.unwrap_or(ASSUMED_ORDER);
+    let limit = limit(grids, order)?;
+    Some(Extrapolation {
         order,
-        observed,
-        slip: fine.value - weight * b,
-        standard_error: ((1.0 + weight) * fine.standard_error)
-            .hypot(weight * middle.standard_error),
-    }
+        observed: observed.is_some(),
+        slip: limit.value,
+        standard_error: limit.standard_error,
+    })
 }
 
 impl Report {
@@ -562,22 +558,6 @@ mod tests {
 
     fn found(value: f64, standard_error: f64) -> Found {
         Found { value, standard_error, half_width_95: 2.0 * standard_error, one_percent: 1.0 }
-    }
-
-    #[test]
-    fn extrapolation_finds_limit_and_order_of_a_power_law() {
-        for order in [0.7f64, 1.0, 1.9] {
-            let at = |h: f64| found(2.5 + 0.3 * h.powf(order), 0.01);
-            let limit = extrapolate([at(4.0), at(2.0), at(1.0)]);
-            assert!(limit.observed && (limit.order - order).abs() < 1e-12);
-            assert!((limit.slip - 2.5).abs() < 1e-12);
-            // At first order 2 f₃ - f₂: errors of 2 and 1 parts in a hundred.
-            let error = 0.01 * 5f64.sqrt();
-            assert!(order != 1.0 || (limit.standard_error - error).abs() < 1e-12);
-        }
-        let scattered = extrapolate([found(2.0, 0.1), found(2.2, 0.1), found(2.1, 0.1)]);
-        assert!(!scattered.observed && scattered.order == 1.0);
-        assert!((scattered.slip - 2.0).abs() < 1e-12);
     }
 
     #[test]

@@ -9,9 +9,9 @@ use super::file::{
     CaseFile, DomainFile, FilterFile, OutputFile, Problems, Quantity, RunFile, Typed, Unit,
 };
 use super::{
-    Case, Domain, DragChoice, Drive, DriveChoice, FieldsChoice, FilterCase, FrictionChoice,
-    KernelChoice, MarkerChoice, OutputCase, Physics, Precision, RadialDistributionChoice, RunCase,
-    Terms, quoted,
+    Case, Domain, DragChoice, Drive, DriveChoice, EdgesChoice, FieldsChoice, FilterCase,
+    FrictionChoice, KernelChoice, MarkerChoice, OutputCase, Physics, Precision,
+    RadialDistributionChoice, RunCase, Terms, quoted,
 };
 use crate::laws::scales::{Gas, Powder, Scales};
 
@@ -483,15 +483,52 @@ fn resolve_filter(
             );
         }
     }
+    let (solids_fraction_bin, slip_bin) = (solids_fraction_bin?, slip_bin?);
+    let bins = |marker: &MarkerChoice| {
+        let given =
+            file.edges.iter().find(|(other, _)| other == marker).map(|(_, typed)| &typed.value);
+        match (given, marker) {
+            (Some(EdgesChoice::Given(edges)), _) => edges.len() as f64 - 1.0,
+            (None, MarkerChoice::SolidsFraction) => {
+                max_packing.unwrap_or(1.0) / solids_fraction_bin
+            }
+            (None, MarkerChoice::Slip) => SLIP_BINS_SPAN / slip_bin + 2.0,
+            _ => FINEST_QUANTILE_BINS,
+        }
+    };
+    let all: f64 = markers.iter().map(bins).product();
+    if let (true, Some(typed)) = (all > MOST_BINS, &file.markers) {
+        let of_each: Vec<String> = markers
+            .iter()
+            .map(|marker| format!("{:.0} of {}", bins(marker).ceil(), quoted(marker)))
+            .collect();
+        problems.refuse(
+            typed,
+            format!(
+                "they make {} bins together, {all:.0}: at most {MOST_BINS:.0} are accepted; give fewer \
+                 edges, wider bins or fewer markers",
+                of_each.join(" times ")
+            ),
+        );
+    }
     Some(FilterCase {
         widths: widths?,
         kernel: file.kernel.as_ref().map_or(KernelChoice::Box, |typed| typed.value),
         edges: file.edges.iter().map(|(marker, edges)| (*marker, edges.value.clone())).collect(),
         markers,
-        solids_fraction_bin: solids_fraction_bin?,
-        slip_bin: slip_bin?,
+        solids_fraction_bin,
+        slip_bin,
     })
 }
+
+/// Most bins: more would take memory for each of them, and hold next to nothing.
+const MOST_BINS: f64 = 1e6;
+
+/// Slips that bins of equal width cover \[u_t\].
+const SLIP_BINS_SPAN: f64 = 8.0;
+
+/// Bins that quantiles are made of.
+const FINEST_QUANTILE_BINS: f64 = 50.0;
 
 /// Most markers at a time: bins of more would hold next to nothing.
 const MOST_MARKERS: usize = 3;

@@ -42,26 +42,35 @@ impl<R: Real> Friction<R> for Frictionless {
 /// Pressure that keeps a packing from being overfilled, and does nothing else.
 ///
 /// The kinetic pressure dies with the granular temperature, so nothing carries the weight of a
-/// cold dense bed. P = B ρ_s x² / (φ_max + 0.012 - φ), x = max(0, φ - φ_max + 0.02), B = 5 m²/s²;
+/// cold dense bed. P = B ρ_s x² / (φ_max + 0.012 - φ), x = max(0, φ - φ_max + 0.02), B = 105 u_t²: what
+/// falls on a bed is some u_t fast, of whatever powder;
 /// past φ_max + 0.009 it goes on with that denominator. Zero, and with zero slope, below
 /// φ_max - 0.02.
 #[derive(Clone, Copy, Debug)]
 pub struct PackingBarrier<R> {
     density: R,
     max_packing: R,
+    stiffness: R,
 }
 
+/// B of [`PackingBarrier`] over u_t².
+const BARRIER: f64 = 105.0;
+
 impl<R: Real> PackingBarrier<R> {
-    /// The barrier of `powder`.
-    pub fn new(powder: &Powder) -> Self {
-        Self { density: R::of(powder.density), max_packing: R::of(powder.max_packing) }
+    /// The barrier of `powder`, whose single particle falls at `terminal_velocity` \[m/s\].
+    pub fn new(powder: &Powder, terminal_velocity: f64) -> Self {
+        Self {
+            density: R::of(powder.density),
+            max_packing: R::of(powder.max_packing),
+            stiffness: R::of(BARRIER * terminal_velocity.powi(2)),
+        }
     }
 }
 
 impl<R: Real> Friction<R> for PackingBarrier<R> {
     #[inline(always)]
     fn pressure(&self, phi: R) -> (R, R) {
-        let stiffness = R::of(5.0);
+        let stiffness = self.stiffness;
         let x = (phi - self.max_packing + R::of(0.02)).max(R::ZERO);
         let gap = self.max_packing + R::of(0.012) - phi;
         let inside = gap > R::of(0.003);
@@ -257,6 +266,9 @@ mod tests {
     use super::super::scales::tests::POWDER;
     use super::*;
 
+    /// A terminal velocity \[m/s\].
+    const U_T: f64 = 0.2;
+
     /// Slope over ρ_s is the derivative, the pressure has no jump, and both precisions agree.
     fn check(law: impl Friction<f64>, single: impl Friction<f32>) {
         let mut last = 0.0;
@@ -282,7 +294,7 @@ mod tests {
 
     #[test]
     fn pressures_have_the_slopes_they_say_and_no_jump() {
-        check(PackingBarrier::new(&POWDER), PackingBarrier::new(&POWDER));
+        check(PackingBarrier::new(&POWDER, U_T), PackingBarrier::new(&POWDER, U_T));
         check(Schaeffer::new(&POWDER), Schaeffer::new(&POWDER));
         check(JohnsonJackson::new(&POWDER), JohnsonJackson::new(&POWDER));
         check(SrivastavaSundaresan::new(&POWDER), SrivastavaSundaresan::new(&POWDER));
@@ -292,10 +304,10 @@ mod tests {
 
     #[test]
     fn barrier_starts_at_two_per_cent_below_packing() {
-        let barrier = PackingBarrier::<f64>::new(&POWDER);
+        let barrier = PackingBarrier::<f64>::new(&POWDER, U_T);
         assert_eq!(barrier.pressure(0.63), (0.0, 0.0));
-        // 5 · 1500 · 0.02² / 0.012.
-        assert!((barrier.pressure(0.65).0 - 250.0).abs() < 1e-9);
+        // 105 · 0.2² · 1500 · 0.02² / 0.012.
+        assert!((barrier.pressure(0.65).0 - 210.0).abs() < 1e-9);
     }
 
     #[test]
@@ -345,7 +357,7 @@ mod tests {
         let found = Schaeffer::<f64>::new(&POWDER).viscosity(0.656, t, square);
         assert!((found / (1e24 * f64::powi(0.006, 10) * SINE / 50.0) - 1.0).abs() < 1e-9);
         assert_eq!(Schaeffer::<f64>::new(&POWDER).viscosity(0.64, t, square), 0.0);
-        assert_eq!(PackingBarrier::<f64>::new(&POWDER).viscosity(0.65, t, square), 0.0);
+        assert_eq!(PackingBarrier::<f64>::new(&POWDER, U_T).viscosity(0.65, t, square), 0.0);
     }
 
     #[test]

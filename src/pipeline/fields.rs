@@ -5,6 +5,7 @@ use crate::case::{Case, FieldsChoice};
 use crate::checkpoint::Checkpoints;
 use crate::output::{Output, OutputError, RUN_FILE};
 use crate::pool::Pool;
+use crate::pool::grids::Grids;
 use crate::resolved::Resolved;
 use crate::resolved::map::Map;
 use crate::resolved::series::{Instant, Reader, runs};
@@ -40,6 +41,8 @@ pub struct FilterSummary {
     pub widths: Vec<f64>,
     /// Rows of the bin table.
     pub bins: usize,
+    /// What the grids say of each other, if there are several.
+    pub grids: Option<Grids>,
     /// What a user must know, one sentence each.
     pub warnings: Vec<String>,
 }
@@ -67,7 +70,7 @@ pub struct RunRead {
 
 /// Filters the fields at `paths`, read as `map` says, and fills `output`, which the caller commits.
 /// Statistics are taken from `from` \[s\] on; without it from where a run of Favre's became steady, and
-/// of other fields from the first instant on. Ends early once `stop` is set.
+/// of other fields from the first instant on. `order` is as for [`Pool::read`]. Ends early once `stop` is set.
 ///
 /// # Errors
 /// Fields or the case are not acceptable, `stop` was set, or a file cannot be written.
@@ -75,6 +78,7 @@ pub fn filter(
     paths: &[PathBuf],
     map: &Map,
     from: Option<f64>,
+    order: Option<f64>,
     output: &Output,
     options: &RunOptions,
     stop: &AtomicBool,
@@ -99,7 +103,7 @@ pub fn filter(
         solids_fraction: run.solids_fraction,
         sums,
     });
-    let pool = Pool::new(SumsFile { system: sums_system(&case), runs: runs.collect() })?;
+    let pool = Pool::new(SumsFile { system: sums_system(&case), runs: runs.collect() }, order)?;
     output.write("case.toml", |file| file.write_all(case.to_toml().as_bytes()))?;
     output.write("bins.csv", |file| write_rows(&pool.bins, file).map_err(io::Error::other))?;
     output.write(SUMS_FILE, |file| pool.file.write(file))?;
@@ -112,6 +116,7 @@ pub fn filter(
         runs: read,
         widths: case.filter.widths.clone(),
         bins: pool.bins.len(),
+        grids: pool.grids.clone(),
         warnings,
     };
     output.write(RUN_FILE, |file| Ok(serde_json::to_writer_pretty(file, &summary)?))?;
@@ -252,6 +257,9 @@ impl fmt::Display for FilterSummary {
             )?;
         }
         write!(f, "{} rows in bins.csv, filter widths {:?} m", self.bins, self.widths)?;
+        if let Some(grids) = &self.grids {
+            write!(f, "\n{grids}")?;
+        }
         for warning in &self.warnings {
             write!(f, "\nwarning: {warning}")?;
         }

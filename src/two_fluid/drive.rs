@@ -42,7 +42,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let law = setup.drag.law(gas, powder);
         let gradient = law.beta_per_fraction(mean, slip) * slip / weight;
         self.gas_flux = Some(GasFlux { wanted, gradient });
-        self.find_gas_speed();
+        self.find_speeds();
         self
     }
 

@@ -216,31 +216,43 @@ simd! {
 }
 
 simd! {
-    /// Largest Σ_a |u_a| / h_a of the cells of a row, each |u_a| the larger of its two faces \[1/s\].
+    /// Largest Σ_a |u_a| / h_a of the cells of a row, each |u_a| the larger of its two faces, of the
+    /// solids where their fraction is above `thin`, and of the gas \[1/s\].
     pub(super) fn courant_row[R: Real, const D: usize](
-        u: [[&[R]; 2]; D],
+        solids: [[&[R]; 2]; D],
+        gas: [[&[R]; 2]; D],
+        phi: &[R],
+        thin: R,
         inverse_spacing: [R; D],
-    ) -> R {
+    ) -> [R; 2] {
         const LANES: usize = 16;
-        let n = u[0][0].len();
-        let u = by_axis(u, n);
-        let mut largest = [R::ZERO; LANES];
-        let cell = |i: usize| {
-            sum_axes!(D, u, |[lower, upper], a| {
-                inverse_spacing[a] * lower[i].abs().max(upper[i].abs())
-            })
-        };
+        let n = phi.len();
+        let (solids, gas) = (by_axis(solids, n), by_axis(gas, n));
+        let phi = &phi[..n];
+        let mut largest = [[R::ZERO; LANES]; 2];
+        macro_rules! rate {
+            ($u:ident, $i:ident) => {
+                sum_axes!(D, $u, |[lower, upper], a| {
+                    inverse_spacing[a] * lower[$i].abs().max(upper[$i].abs())
+                })
+            };
+        }
         let whole = n - n % LANES;
         let mut at = 0;
         while at < whole {
             for lane in 0..LANES {
-                largest[lane] = largest[lane].max(cell(at + lane));
+                let i = at + lane;
+                let fast = R::select(phi[i] > thin, rate!(solids, i), R::ZERO);
+                largest[0][lane] = largest[0][lane].max(fast);
+                largest[1][lane] = largest[1][lane].max(rate!(gas, i));
             }
             at += LANES;
         }
         for i in whole..n {
-            largest[0] = largest[0].max(cell(i));
+            let fast = R::select(phi[i] > thin, rate!(solids, i), R::ZERO);
+            largest[0][0] = largest[0][0].max(fast);
+            largest[1][0] = largest[1][0].max(rate!(gas, i));
         }
-        largest.into_iter().fold(R::ZERO, R::max)
+        largest.map(|lanes| lanes.into_iter().fold(R::ZERO, R::max))
     }
 }

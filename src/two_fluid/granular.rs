@@ -1,10 +1,10 @@
 //! Closures of the solids' stress at cell centres, and the balance of granular energy.
 
-use super::{GHOST, Medium};
+use super::{GHOST, Medium, PACKED};
 use crate::laws::drag::DragLaw;
 use crate::laws::friction::Friction;
 use crate::laws::kinetic_theory::{
-    KineticTheory, RadialDistribution, balance_temperature, balanced_temperature,
+    KineticTheory, RadialDistribution, balance_speed, balanced_speed,
 };
 use crate::real::Real;
 use crate::rows::{by_axis, cut, simd, sum_axes};
@@ -34,14 +34,15 @@ simd! {
 /// What the nearness of particles does, a row at a time: a radial distribution and a friction,
 /// chosen at the cost of one call per row.
 pub(super) trait ContactRow<R>: Send + Sync {
-    /// Leaves g0, viscosity, bulk viscosity, conductivity, and the largest diffusivity of the cells
-    /// that are not nearly empty \[m²/s\]. Of `bounds` the first is what bounds the diffusivities of a
+    /// Turns the slip speed squared into the production of granular energy by slip, of
+    /// [`KineticTheory::slip_production`]; leaves g0, viscosity, bulk viscosity, conductivity, and the
+    /// largest diffusivity of the cells that are not nearly empty \[m²/s\]. Of `bounds` the first is what bounds the diffusivities of a
     /// nearly empty cell \[m²/s\], the second the solids fraction from which on a cell is none. The
     /// conductivity is made, and counts as a diffusivity, only if it `conducts`.
     #[allow(clippy::too_many_arguments)]
     fn kinetic(
         &self,
-        outputs: [&mut [R]; 5],
+        outputs: [&mut [R]; 6],
         medium: &Medium<R>,
         phi: &[R],
         theta: &[R],
@@ -77,18 +78,10 @@ pub(super) trait ContactRow<R>: Send + Sync {
         most_diffusivity: R,
     );
 
-    /// Leaves the solids pressure and the square of the speed of sound \[m²/s²\].
-    #[allow(clippy::too_many_arguments)]
-    fn pressure(
-        &self,
-        outputs: [&mut [R]; 2],
-        theory: KineticTheory<R>,
-        phi: &[R],
-        g0: &[R],
-        theta: &[R],
-        drag: &[R],
-        dt: R,
-    );
+    /// Balances the granular energy of a cell, `theta` of `outputs` holding what conduction and
+    /// viscous stress heat it by per solids mass \[m²/s³\]; leaves the new temperature, the solids
+    /// pressure and the square of the speed of sound \[m²/s²\].
+    fn balance(&self, outputs: [&mut [R]; 3], theory: KineticTheory<R>, cells: &Balanced<'_, R>);
 
     /// g0 of one cell.
     fn radial_distribution(&self, phi: R) -> R;
@@ -111,7 +104,7 @@ pub(super) struct Contact<G, F> {
 impl<R: Real, G: RadialDistribution<R>, F: Friction<R>> ContactRow<R> for Contact<G, F> {
     fn kinetic(
         &self,
-        [g0, viscosity, bulk, conductivity, diffusivity]: [&mut [R]; 5],
+        [slip, g0, viscosity, bulk, conductivity, diffusivity]: [&mut [R]; 6],
         medium: &Medium<R>,
         phi: &[R],
         theta: &[R],
@@ -123,6 +116,7 @@ impl<R: Real, G: RadialDistribution<R>, F: Friction<R>> ContactRow<R> for Contac
         macro_rules! made {
             ($conducts:literal) => {
                 kinetic_row(
+                    slip,
                     g0,
                     viscosity,
                     bulk,
@@ -169,18 +163,28 @@ impl<R: Real, G: RadialDistribution<R>, F: Friction<R>> ContactRow<R> for Contac
         rub_row(viscosity, density, self.friction, phi, theta, strain, most_diffusivity);
     }
 
-    fn pressure(
+    fn balance(
         &self,
-        [pressure, sound]: [&mut [R]; 2],
+        [theta, pressure, sound]: [&mut [R]; 3],
         theory: KineticTheory<R>,
-        phi: &[R],
-        g0: &[R],
-        theta: &[R],
-        drag: &[R],
-        dt: R,
+        cells: &Balanced<'_, R>,
     ) {
         let Self { radial, friction } = *self;
-        pressure_row(pressure, sound, theory, radial, friction, phi, g0, theta, drag, dt);
+        // A kernel for each answer.
+        if cells.algebraic {
+            balance_row(theta, pressure, sound, theory, radial, friction, cells, Algebraic::<true>);
+        } else {
+            balance_row(
+                theta,
+                pressure,
+                sound,
+                theory,
+                radial,
+                friction,
+                cells,
+                Algebraic::<false>,
+            );
+        }
     }
 
     fn radial_distribution(&self, phi: R) -> R {
@@ -286,36 +290,6 @@ simd! {
 }
 
 simd! {
-    fn pressure_row[R: Real, G: RadialDistribution<R>, F: Friction<R>](
-        pressure: &mut [R],
-        sound: &mut [R],
-        theory: KineticTheory<R>,
-        radial: G,
-        friction: F,
-        phi: &[R],
-        g0: &[R],
-        theta: &[R],
-        drag: &[R],
-        dt: R,
-    ) {
-        let n = pressure.len();
-        let sound = &mut sound[..n];
-        let (phi, g0, theta, drag) = (&phi[..n], &g0[..n], &theta[..n], &drag[..n]);
-        for i in 0..n {
-            let (contacts, stiffness) = friction.pressure(phi[i]);
-            pressure[i] = theory.pressure(phi[i], g0[i], theta[i]) + contacts;
-            let slope = radial.slope(phi[i], g0[i]);
-            // Dissipation is implicit, so of the heat of compression a step keeps only this.
-            let relaxation = theory.collisional_dissipation(phi[i], g0[i]) * theta[i].sqrt()
-                + R::of(2.0 / 3.0) * theory.viscous_dissipation(drag[i]);
-            let adiabatic = R::ONE / (R::ONE + dt * relaxation);
-            sound[i] = theory.sound_speed_squared(phi[i], g0[i], slope, theta[i], adiabatic)
-                + stiffness;
-        }
-    }
-}
-
-simd! {
     /// |u_g - u_s|² from the means of the faces' velocities.
     pub(super) fn slip_row[R: Real, const D: usize](slip_squared: &mut [R], velocities: [[&[R]; 4]; D]) {
         let n = slip_squared.len();
@@ -331,10 +305,11 @@ simd! {
 
 /// Whether granular energy is conducted.
 #[derive(Clone, Copy)]
-struct Conducts<const YES: bool>;
+pub(super) struct Conducts<const YES: bool>;
 
 simd! {
     fn kinetic_row[R: Real, G: RadialDistribution<R>, const CONDUCTS: bool](
+        slip: &mut [R],
         g0: &mut [R],
         viscosity: &mut [R],
         bulk: &mut [R],
@@ -349,6 +324,7 @@ simd! {
         _conducts: Conducts<CONDUCTS>,
     ) {
         let n = g0.len();
+        let slip = &mut slip[..n];
         let (viscosity, bulk, conductivity) =
             (&mut viscosity[..n], &mut bulk[..n], &mut conductivity[..n]);
         let diffusivity = &mut diffusivity[..n];
@@ -357,11 +333,12 @@ simd! {
         let density = medium.solids_density;
         let [cap, nearly_empty] = bounds;
         for i in 0..n {
-            let contact = radial.contact(phi[i]);
-            let transport = theory.transport(phi[i], contact, theta[i], drag[i]);
+            let contact = radial.contact_and_inverse(phi[i]);
+            let transport = theory.transport_of_contact(phi[i], contact, theta[i], drag[i]);
             let mass = density * (phi[i] + R::of(GHOST));
             let bound = cap * mass;
-            g0[i] = contact;
+            slip[i] = theory.slip_production_of_contact(contact[1], slip[i]);
+            g0[i] = contact[0];
             viscosity[i] = transport.viscosity.min(bound);
             bulk[i] = transport.bulk_viscosity.min(R::of(0.25) * bound);
             let mut most = transport.viscosity.max(R::of(4.0) * transport.bulk_viscosity);
@@ -375,156 +352,144 @@ simd! {
 }
 
 simd! {
-    /// Adds ∂(λ ∂T) + τ_aa ∂(u + u')/2 along one axis \[W/m³\].
-    pub(super) fn heating_row[R: Real](
-        heating: &mut [R],
-        theta: [&[R]; 3],
-        conductivity: [&[R]; 3],
-        normal: &[R],
-        u: [[&[R]; 2]; 2],
-        inverse_spacing: R,
-    ) {
-        let n = heating.len();
-        let (theta, conductivity) = (cut(theta, n), cut(conductivity, n));
-        let (normal, u) = (&normal[..n], [cut(u[0], n), cut(u[1], n)]);
-        let tiny = R::of(1e-30);
-        let two = R::of(2.0);
-        for i in 0..n {
-            // Harmonic means: a nearly empty cell does not conduct into a dense one.
-            let [k0, k1, k2] = conductivity.map(|k| k[i]);
-            let lower = two * k0 * k1 / (k0 + k1 + tiny) * (theta[1][i] - theta[0][i]);
-            let upper = two * k1 * k2 / (k1 + k2 + tiny) * (theta[2][i] - theta[1][i]);
-            let strain = (u[0][1][i] - u[0][0][i]) + (u[1][1][i] - u[1][0][i]);
-            heating[i] += inverse_spacing * inverse_spacing * (upper - lower)
-                + R::of(0.5) * inverse_spacing * normal[i] * strain;
-        }
-    }
-}
-
-simd! {
-    /// Adds τ_aa ∂(u + u')/2 along one axis \[W/m³\].
-    pub(super) fn normal_heating_row[R: Real](
-        heating: &mut [R],
-        normal: &[R],
-        u: [[&[R]; 2]; 2],
-        inverse_spacing: R,
-    ) {
-        let n = heating.len();
-        let (normal, u) = (&normal[..n], [cut(u[0], n), cut(u[1], n)]);
-        for i in 0..n {
-            let strain = (u[0][1][i] - u[0][0][i]) + (u[1][1][i] - u[1][0][i]);
-            heating[i] += R::of(0.5) * inverse_spacing * normal[i] * strain;
-        }
-    }
-}
-
-simd! {
-    pub(super) fn per_mass_row[R: Real](heating: &mut [R], phi: &[R], density: R) {
-        let phi = &phi[..heating.len()];
-        for (heating, phi) in heating.iter_mut().zip(phi) {
-            *heating /= density * (*phi + R::of(GHOST));
-        }
-    }
-}
-
-simd! {
-    /// Adds the heating of the four edges of one pair of axes; each cell's part is its share of
-    /// the solids around the edge, so that per mass no division is left.
-    pub(super) fn edge_heating_row[R: Real](heating: &mut [R], edges: [&[R]; 4], inverse_density: R) {
-        let n = heating.len();
-        let edges = cut(edges, n);
-        for i in 0..n {
-            heating[i] += inverse_density * (edges[0][i] + edges[1][i] + edges[2][i] + edges[3][i]);
-        }
-    }
-}
-
-simd! {
-    pub(super) fn balance_row[R: Real, const D: usize](
-        theta_new: &mut [R],
-        medium: &Medium<R>,
-        phi: &[R],
-        theta: &[R],
-        g0: &[R],
-        drag: &[R],
-        slip_squared: &[R],
-        u: [[&[R]; 2]; D],
-        inverse_spacing: [R; D],
-        dt: R,
-    ) {
-        let n = theta_new.len();
-        let (phi, theta) = (&phi[..n], &theta[..n]);
-        let (g0, drag, slip_squared) = (&g0[..n], &drag[..n], &slip_squared[..n]);
-        let u = by_axis(u, n);
-        let theory = medium.theory;
-        for i in 0..n {
-            let divergence = sum_axes!(D, u, |[lower, upper], a| {
-                inverse_spacing[a] * (upper[i] - lower[i])
-            });
-            // -P_s ∇·u: a sink where the solids expand, implicit; a source where they contract.
-            let work = theory.compressibility(phi[i], g0[i]) * divergence;
-            let heating = theta_new[i] + theta[i] * (-work).max(R::ZERO);
-            let damping = theory.viscous_dissipation(drag[i]) + work.max(R::ZERO);
-            theta_new[i] = balance_temperature(
-                theta[i],
-                heating,
-                theory.collisional_dissipation(phi[i], g0[i]),
-                damping,
-                theory.slip_production(g0[i], slip_squared[i]),
-                dt,
-            );
-        }
-    }
-}
-
-simd! {
-    /// Temperature at which the sources of a cell balance; `theta_new` holds the viscous heating,
-    /// `theta` is the temperature before, by which compression heats.
+    /// Conduction and viscous heating of the cells of a row per solids mass \[m²/s³\], and the
+    /// divergence of the velocities after the stress \[1/s\].
     ///
-    /// What strain makes is bounded by 3 T ≤ (Δu)², the squared difference of velocities that the
-    /// strain makes over a cell, h² of `cell_squared` times its rate. In a thin suspension, where
-    /// strain is faster than drag damps, the balance alone has temperatures without bound, and a
-    /// pressure that does more work in a step than was ever put in.
-    pub(super) fn algebraic_row[R: Real, const D: usize](
-        theta_new: &mut [R],
-        medium: &Medium<R>,
+    /// Along each axis `work` is τ_aa, and u at the lower and upper face before the stress and after;
+    /// `heat` is conductivity and temperature below, here and above. `edges` is the heating of the four edges of each pair of
+    /// axes, of [`shear_heating_row`](super::stress::shear_heating_row): each cell's part is its share of
+    /// the solids around the edge, so that per mass no division is left. Of two axes there is one
+    /// pair, the first.
+    pub(super) fn heating_row[R: Real, const D: usize, const CONDUCTS: bool](
+        heating: &mut [R],
+        divergence: &mut [R],
+        work: [[&[R]; 5]; D],
+        heat: [[&[R]; 6]; D],
+        edges: [[&[R]; 4]; 3],
         phi: &[R],
-        theta: &[R],
-        g0: &[R],
-        drag: &[R],
-        slip_squared: &[R],
-        u: [[&[R]; 2]; D],
+        inverse_density: R,
         inverse_spacing: [R; D],
-        viscosity: &[R],
-        cell_squared: R,
+        _conducts: Conducts<CONDUCTS>,
     ) {
-        let n = theta_new.len();
-        let (phi, theta, viscosity) = (&phi[..n], &theta[..n], &viscosity[..n]);
-        let (g0, drag, slip_squared) = (&g0[..n], &drag[..n], &slip_squared[..n]);
-        let u = by_axis(u, n);
-        let theory = medium.theory;
+        let n = heating.len();
+        let (divergence, phi) = (&mut divergence[..n], &phi[..n]);
+        let (work, heat) = (by_axis(work, n), by_axis(heat, n));
+        let [ab, ac, bc] = [cut(edges[0], n), cut(edges[1], n), cut(edges[2], n)];
+        let (half, two, tiny) = (R::of(0.5), R::of(2.0), R::of(1e-30));
         for i in 0..n {
-            let divergence = sum_axes!(D, u, |[lower, upper], a| {
+            divergence[i] = sum_axes!(D, work, |[_, _, _, lower, upper], a| {
                 inverse_spacing[a] * (upper[i] - lower[i])
             });
-            let compressibility = theory.compressibility(phi[i], g0[i]);
+            let mut volume = sum_axes!(D, work, |[stress, u0, u1, v0, v1], a| {
+                let strain = (u1[i] - u0[i]) + (v1[i] - v0[i]);
+                half * inverse_spacing[a] * stress[i] * strain
+            });
+            if CONDUCTS {
+                volume += sum_axes!(D, heat, |[k0, k1, k2, t0, t1, t2], a| {
+                    // Harmonic means: a nearly empty cell does not conduct into a dense one.
+                    let (k0, k1, k2) = (k0[i], k1[i], k2[i]);
+                    let lower = two * k0 * k1 / (k0 + k1 + tiny) * (t1[i] - t0[i]);
+                    let upper = two * k1 * k2 / (k1 + k2 + tiny) * (t2[i] - t1[i]);
+                    inverse_spacing[a] * inverse_spacing[a] * (upper - lower)
+                });
+            }
+            let mut shear = ab[0][i] + ab[1][i] + ab[2][i] + ab[3][i];
+            if D == 3 {
+                shear += (ac[0][i] + ac[1][i] + ac[2][i] + ac[3][i])
+                    + (bc[0][i] + bc[1][i] + bc[2][i] + bc[3][i]);
+            }
+            heating[i] = inverse_density * (volume / (phi[i] + R::of(GHOST)) + shear);
+        }
+    }
+}
+
+/// What the balance of granular energy of a row of cells hangs on.
+pub(super) struct Balanced<'a, R> {
+    /// Whether sources and sinks balance at once, instead of over the step.
+    pub(super) algebraic: bool,
+    pub(super) phi: &'a [R],
+    /// Temperature before.
+    pub(super) theta: &'a [R],
+    pub(super) g0: &'a [R],
+    pub(super) drag: &'a [R],
+    /// Production by slip, as [`ContactRow::kinetic`] leaves it.
+    pub(super) slip: &'a [R],
+    /// ∇·u_s \[1/s\].
+    pub(super) divergence: &'a [R],
+    pub(super) viscosity: &'a [R],
+    pub(super) solids_density: R,
+    /// Solids fraction that no step is to fill a cell beyond \[-\].
+    pub(super) packed: R,
+    /// 1/Σ 1/h² \[m²\].
+    pub(super) cell_squared: R,
+    pub(super) dt: R,
+}
+
+/// Whether sources and sinks of granular energy balance at once.
+#[derive(Clone, Copy)]
+struct Algebraic<const YES: bool>;
+
+simd! {
+    /// If the balance is algebraic, what strain makes is bounded by 3 T ≤ (Δu)², the squared difference
+    /// of velocities that the strain makes over a cell, h² of `cell_squared` times its rate. In a thin
+    /// suspension, where strain is faster than drag damps, the balance alone has temperatures without
+    /// bound, and a pressure that does more work in a step than was ever put in.
+    fn balance_row[R: Real, G: RadialDistribution<R>, F: Friction<R>, const ALGEBRAIC: bool](
+        theta_new: &mut [R],
+        pressure: &mut [R],
+        sound: &mut [R],
+        theory: KineticTheory<R>,
+        radial: G,
+        friction: F,
+        cells: &Balanced<'_, R>,
+        _algebraic: Algebraic<ALGEBRAIC>,
+    ) {
+        let n = theta_new.len();
+        let (pressure, sound) = (&mut pressure[..n], &mut sound[..n]);
+        let Balanced { phi, theta, g0, drag, slip, divergence, viscosity, dt, .. } = *cells;
+        let (phi, theta, g0) = (&phi[..n], &theta[..n], &g0[..n]);
+        let (drag, slip, divergence) = (&drag[..n], &slip[..n], &divergence[..n]);
+        let viscosity = &viscosity[..n];
+        let third = R::of(1.0 / 3.0) * cells.cell_squared;
+        let side = third.sqrt();
+        let stiffest = cells.cell_squared / (dt * dt);
+        let (density, two_thirds) = (cells.solids_density, R::of(2.0 / 3.0));
+        for i in 0..n {
             let collisional = theory.collisional_dissipation(phi[i], g0[i]);
             let damping = theory.viscous_dissipation(drag[i]);
-            let work = compressibility * divergence;
-            let third = R::of(1.0 / 3.0) * cell_squared;
-            let most = divergence.abs() * third.sqrt();
-            let compression = (-work).max(R::ZERO).min(damping + collisional * most);
-            // Viscous heating is ν times the rate of strain squared.
-            let shear = theta_new[i].max(R::ZERO);
-            let mass = medium.solids_density * (phi[i] + R::of(GHOST));
-            let most = third * shear * mass / (viscosity[i] + R::of(1e-30));
-            let shear = shear.min((damping + collisional * most.sqrt()) * most);
-            theta_new[i] = balanced_temperature(
-                shear + theta[i] * compression,
-                collisional,
-                damping + work.max(R::ZERO),
-                theory.slip_production(g0[i], slip_squared[i]),
-            );
+            // -P_s ∇·u: a sink where the solids expand, implicit; a source where they contract.
+            let work = theory.compressibility(phi[i], g0[i]) * divergence[i];
+            let expansion = work.max(R::ZERO);
+            let speed = if ALGEBRAIC {
+                let most = divergence[i].abs() * side;
+                let compression = (-work).max(R::ZERO).min(damping + collisional * most);
+                // Viscous heating is ν times the rate of strain squared.
+                let shear = theta_new[i].max(R::ZERO);
+                let mass = density * (phi[i] + R::of(GHOST));
+                let most = third * shear * mass / (viscosity[i] + R::of(1e-30));
+                let shear = shear.min((damping + collisional * most.sqrt()) * most);
+                let heating = shear + theta[i] * compression;
+                balanced_speed(heating, collisional, damping + expansion, slip[i])
+            } else {
+                let heating = theta_new[i] + theta[i] * (-work).max(R::ZERO);
+                balance_speed(theta[i], heating, collisional, damping + expansion, slip[i], dt)
+            };
+            let warm = speed * speed;
+            theta_new[i] = warm;
+            let (contacts, stiffness) = friction.pressure(phi[i]);
+            // What has become too stiff for a step of this length pushes as if it were not: more would
+            // fling back what hits a packed bed. The next step is as short as the sound asks for.
+            let contacts = contacts * stiffest / stiffness.max(stiffest);
+            pressure[i] = theory.pressure(phi[i], g0[i], warm) + contacts;
+            let slope = radial.slope(phi[i], g0[i]);
+            // Dissipation is implicit, so of the heat of compression a step keeps only this.
+            let adiabatic = R::ONE / (R::ONE + dt * (collisional * speed + two_thirds * damping));
+            let sound_squared = theory.sound_speed_squared(phi[i], g0[i], slope, warm, adiabatic)
+                + stiffness;
+            // A step of this sound does not fill the cell: it is hit faster than its own sound.
+            let room = (cells.packed - phi[i]).max(R::of(0.1 * PACKED));
+            let filling = side * phi[i] * (-divergence[i]).max(R::ZERO) / room;
+            sound[i] = sound_squared.max(R::of(3.0) * filling * filling);
         }
     }
 }

@@ -96,7 +96,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             Quantity::GasVelocity(axis) => &mut self.gas[axis],
         };
         field.set(|index| R::of(value(index)));
-        self.find_gas_speed();
+        self.find_speeds();
     }
 
     /// Rates added from the next step on to those of the velocities and the temperature, per time,

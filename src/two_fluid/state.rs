@@ -108,7 +108,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         tiled.solids.iter_mut().zip(&self.solids).for_each(copy);
         tiled.gas.iter_mut().zip(&self.gas).for_each(copy);
         tiled.gas_flux = self.gas_flux;
-        tiled.find_gas_speed();
+        tiled.find_speeds();
         tiled
     }
 
@@ -144,7 +144,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         if let Some(flux) = &mut self.gas_flux {
             flux.gradient = f64::from_le_bytes(bytes(from)?);
         }
-        self.find_gas_speed();
+        self.find_speeds();
         Ok(())
     }
 }

@@ -10,7 +10,7 @@
 //! of a result.
 
 use super::exchange::{self, Inertia};
-use super::granular;
+use super::granular::{self, Balanced, Conducts};
 use super::imposed::Sources;
 use super::stress::{self, around, pair, pairs, shear_lines};
 use super::transport::{self, Line, Share, Wanted};
@@ -142,7 +142,8 @@ pub(super) struct Sweep<R, const D: usize> {
     /// or where its momentum stayed.
     solids: [Ring<R, D>; D],
     gas: Vec<[Ring<R, D>; D]>,
-    slip_squared: Ring<R, D>,
+    /// Slip speed squared, then the granular energy that it makes.
+    slip_production: Ring<R, D>,
     drag: Ring<R, D>,
     radial_distribution: Ring<R, D>,
     viscosity: Ring<R, D>,
@@ -172,6 +173,8 @@ pub(super) struct Sweep<R, const D: usize> {
     stressed: [Vec<R>; 2],
     /// Velocities of a row, with what verification adds.
     pushed: [Vec<R>; 2],
+    /// ∇·u_s of the cells of a row \[1/s\].
+    divergence: Vec<R>,
 }
 
 impl<R: Real, const D: usize> Sweep<R, D> {
@@ -199,7 +202,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             carried_on: (0..=most_gas_steps).map(|_| rings(2)).collect(),
             solids: rings(4),
             gas: (0..most_gas_steps.max(1)).map(|_| rings(4)).collect(),
-            slip_squared: ring(4),
+            slip_production: ring(4),
             drag: ring(4),
             radial_distribution: ring(4),
             viscosity: ring(4),
@@ -223,6 +226,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 vec![R::ZERO; if terms.gas_stress { layout.most_elements() } else { 0 }]
             }),
             pushed: std::array::from_fn(|_| vec![R::ZERO; layout.most_elements()]),
+            divergence: vec![R::ZERO; layout.most_elements()],
         }
     }
 
@@ -474,7 +478,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             let most = fill!(
                 before.layout,
                 [
-                    slip = self.slip_squared.line(row),
+                    slip = self.slip_production.line(row),
                     drag = self.drag.line(row),
                     g0 = self.radial_distribution.line(row),
                     viscosity = self.viscosity.line(row),
@@ -485,7 +489,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                 {
                     granular::slip_row(slip, velocities);
                     medium.drag.fill(drag, phi, slip);
-                    let outputs = [g0, viscosity, bulk, conductivity, &mut *diffusivity];
+                    let outputs = [slip, g0, viscosity, bulk, conductivity, &mut *diffusivity];
                     let conducts = before.transports_heat;
                     medium.contact.kinetic(outputs, medium, phi, theta, drag, bounds, conducts);
                     largest(before.layout, diffusivity)
@@ -636,12 +640,27 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         slab: isize,
     ) -> R {
         let Before { medium, inverse_spacing: h, dt, .. } = *before;
+        let density = medium.solids_density;
         let mut fastest = R::ZERO;
         for row in before.rows(slab) {
             let (phi, g0) = (self.phi.row(row), self.radial_distribution.row(row));
-            let (drag, slip) = (self.drag.row(row), self.slip_squared.row(row));
             let old = before.temperature(&self.theta, row);
-            let u = both_faces(&self.sheared, row);
+            let work: [[&[R]; 5]; D] = per_axis!(D, |a| {
+                let (above, normal) = (row.near(a, 1), self.normal[a].row(row));
+                let (u, v) = (&self.solids[a], &self.sheared[a]);
+                [normal, u.row(row), u.row(above), v.row(row), v.row(above)]
+            });
+            let edges: [[&[R]; 4]; 3] = {
+                let mut edges = [[&[] as &[R]; 4]; 3];
+                for (at, (a, b)) in pairs::<D>() {
+                    let (right, up) = (row.near(a, 1), row.near(b, 1));
+                    let q = &self.shear_heating[at];
+                    edges[at] = [q.row(row), q.row(right), q.row(up), q.row(right.near(b, 1))];
+                }
+                if D == 2 { [edges[0]; 3] } else { edges }
+            };
+            let n = phi.len();
+            let divergence = &mut self.divergence[..n];
             let most = fill!(
                 before.layout,
                 [
@@ -650,41 +669,40 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     sound = self.limit.line(row),
                 ],
                 {
-                    // Conduction and viscous heating, per solids mass, gather in `theta` first.
-                    theta.fill(R::ZERO);
-                    for a in 0..D {
-                        let (below, above) = (row.near(a, -1), row.near(a, 1));
-                        let (u, v) = (&self.solids[a], &self.sheared[a]);
-                        let u = [[u.row(row), u.row(above)], [v.row(row), v.row(above)]];
-                        let normal = self.normal[a].row(row);
-                        if before.transports_heat {
-                            let q = &self.theta;
-                            let old = [q.row(below), q.row(row), q.row(above)];
-                            let q = &self.conductivity;
-                            let conductivity = [q.row(below), q.row(row), q.row(above)];
-                            granular::heating_row(theta, old, conductivity, normal, u, h[a]);
-                        } else {
-                            granular::normal_heating_row(theta, normal, u, h[a]);
-                        }
-                    }
-                    granular::per_mass_row(theta, phi, medium.solids_density);
-                    for (at, (a, b)) in pairs::<D>() {
-                        let (right, up) = (row.near(a, 1), row.near(b, 1));
-                        let q = &self.shear_heating[at];
-                        let edges = [q.row(row), q.row(right), q.row(up), q.row(right.near(b, 1))];
-                        granular::edge_heating_row(theta, edges, R::ONE / medium.solids_density);
-                    }
+                    let inverse = R::ONE / density;
                     if before.transports_heat {
-                        granular::balance_row(theta, medium, phi, old, g0, drag, slip, u, h, dt);
+                        let heat: [[&[R]; 6]; D] = per_axis!(D, |a| {
+                            let (below, above) = (row.near(a, -1), row.near(a, 1));
+                            let (k, t) = (&self.conductivity, &self.theta);
+                            let k = [k.row(below), k.row(row), k.row(above)];
+                            [k[0], k[1], k[2], t.row(below), t.row(row), t.row(above)]
+                        });
+                        let conducts = Conducts::<true>;
+                        granular::heating_row(
+                            theta, divergence, work, heat, edges, phi, inverse, h, conducts,
+                        );
                     } else {
-                        let mu = self.viscosity.row(row);
-                        let cell = R::ONE / h.iter().fold(R::ZERO, |sum, h| sum + *h * *h);
-                        granular::algebraic_row(
-                            theta, medium, phi, old, g0, drag, slip, u, h, mu, cell,
+                        let (heat, conducts) = ([[phi; 6]; D], Conducts::<false>);
+                        granular::heating_row(
+                            theta, divergence, work, heat, edges, phi, inverse, h, conducts,
                         );
                     }
-                    let outputs = [pressure, &mut *sound];
-                    medium.contact.pressure(outputs, medium.theory, phi, g0, theta, drag, dt);
+                    let cells = Balanced {
+                        algebraic: !before.transports_heat,
+                        phi,
+                        theta: old,
+                        g0,
+                        drag: self.drag.row(row),
+                        slip: self.slip_production.row(row),
+                        divergence,
+                        viscosity: self.viscosity.row(row),
+                        solids_density: density,
+                        packed: medium.packed,
+                        cell_squared: R::ONE / h.iter().fold(R::ZERO, |sum, h| sum + *h * *h),
+                        dt,
+                    };
+                    let outputs = [theta, pressure, &mut *sound];
+                    medium.contact.balance(outputs, medium.theory, &cells);
                     largest(before.layout, sound)
                 }
             );
@@ -794,7 +812,7 @@ fn largest<R: Real, const D: usize>(layout: Layout<D>, cells: &[R]) -> R {
 
 /// The lower and upper faces of a row of cells along each axis.
 #[inline(always)]
-fn both_faces<R: Real, const D: usize>(
+pub(super) fn both_faces<R: Real, const D: usize>(
     faces: &[impl Lines<R, D>; D],
     row: Row<D>,
 ) -> [[&[R]; 2]; D] {

@@ -18,8 +18,13 @@ impl<'a, R: Real> Line<'a, R> {
     /// Across the lower faces of `row` along `axis`.
     #[inline(always)]
     pub(super) fn at<const D: usize>(q: &'a impl Lines<R, D>, row: Row<D>, axis: usize) -> Self {
-        let at = |n| q.row(row.near(axis, n));
-        Self([at(-2), at(-1), at(0), at(1)])
+        // A closure would be called.
+        Self([
+            q.row(row.near(axis, -2)),
+            q.row(row.near(axis, -1)),
+            q.row(row),
+            q.row(row.near(axis, 1)),
+        ])
     }
 
     #[inline(always)]
@@ -161,6 +166,11 @@ impl<R: Real> Share<R> {
         ]
     }
 
+    #[inline(always)]
+    fn of(&self, before: R, after: R) -> R {
+        self.constant + self.before * before + self.after * after
+    }
+
     /// The gas's share a part `t` through the step.
     pub(super) fn gas(t: f64) -> Self {
         Self { constant: R::ONE, before: R::of(t - 1.0), after: R::of(-t) }
@@ -223,9 +233,9 @@ simd! {
         for i in 0..n {
             let before = half * (below[i] + here[i]);
             let after = half * (below_new[i] + here_new[i]);
-            let share = shares.map(|s| s.constant + s.before * before + s.after * after);
+            let [old, new_share] = [shares[0].of(before, after), shares[1].of(before, after)];
             let outflow = sum_axes!(D, carried, |[lower, upper], _| upper[i] - lower[i]);
-            new[i] = (share[0] * u[i] - outflow) / share[1];
+            new[i] = (old * u[i] - outflow) / new_share;
         }
     }
 }

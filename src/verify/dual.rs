@@ -158,6 +158,9 @@ impl<T: Real, const N: usize> Real for Dual<T, N> {
         let root = self.value.cbrt();
         self.chain(root, T::of(1.0 / 3.0) * root / self.value)
     }
+    fn rough_roots(self) -> [Self; 3] {
+        [self.sqrt(), self.cbrt(), self.sqrt().sqrt()]
+    }
     fn abs(self) -> Self {
         if self.value < T::ZERO { -self } else { self }
     }
