@@ -697,7 +697,6 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                         divergence,
                         viscosity: self.viscosity.row(row),
                         solids_density: density,
-                        packed: medium.packed,
                         cell_squared: R::ONE / h.iter().fold(R::ZERO, |sum, h| sum + *h * *h),
                         dt,
                     };
