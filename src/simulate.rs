@@ -345,6 +345,9 @@ pub fn simulate_from<R: Real, const D: usize>(
     if let Drive::GasFlux(gas_flux) = physics.drive {
         flow = flow.with_gas_flux(gas_flux);
     }
+    if case.run.time_order == 2 {
+        flow = flow.with_second_order();
+    }
     let law = physics.drag.law(gas, powder);
     let sampling = sampling(case, parallel);
     let mut sampler = Sampler::new(grid, law, sampling)?;

@@ -24,6 +24,7 @@
 mod clock;
 mod drive;
 mod exchange;
+mod extrapolate;
 mod failure;
 mod fields;
 mod granular;
@@ -48,6 +49,7 @@ pub use clock::STAGES;
 use clock::{Clock, Stage};
 use drive::GasFlux;
 use exchange::Inertia;
+use extrapolate::Extrapolation;
 pub use failure::{Place, StepError};
 use granular::{Contact, ContactRow, DragRow};
 pub use imposed::Quantity;
@@ -79,8 +81,8 @@ const SOUND_COURANT: f64 = 0.9;
 
 /// Solids fraction above the densest packing that no step is to fill a cell beyond, and the least room
 /// up to there: what has come this close is left to the contact pressure.
-const PACKED: f64 = 0.01;
-const LEAST_ROOM: f64 = 0.001;
+const PACKED: f64 = 0.006;
+const LEAST_ROOM: f64 = 0.0015;
 
 /// Largest viscosity and conductivity per mass, times dt and Σ 1/h², at which an explicit step is
 /// stable and loses kinetic energy. Limits the step, and in nearly empty cells, whose mean free path
@@ -252,6 +254,10 @@ pub struct TwoFluid<R, const D: usize> {
     gas_flux: Option<GasFlux>,
     /// What [`TwoFluid::set_sources`] set.
     sources: Option<Sources<R, D>>,
+    /// What [`TwoFluid::set_half_sources`] set.
+    half_sources: [Option<Sources<R, D>>; 2],
+    /// What [`TwoFluid::with_second_order`] needs.
+    extrapolation: Option<Box<Extrapolation<R, D>>>,
 
     phi: Field<R, D>,
     theta: Field<R, D>,
@@ -357,6 +363,8 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             tolerance: TOLERANCE,
             gas_flux: None,
             sources: None,
+            half_sources: [None, None],
+            extrapolation: None,
             phi,
             theta,
             pressure: zeros(),
@@ -405,11 +413,30 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
     pub fn step(&mut self, until: f64) -> Result<StepReport, StepError> {
         assert!(until > self.time, "a step from {} s to {until} s", self.time);
         Clock::start(&mut self.clock);
-        let rows = self.rows;
         let (longest, limit) = self.next_dt;
         let remaining = until - self.time;
         let left = (remaining / longest - 1e-9).ceil().max(1.0);
         let dt = if left.is_finite() { remaining / left } else { longest };
+        let (report, fastest) = self.advance(dt, limit)?;
+        // The last step ends there to the bit, whatever the sum of the steps rounds to.
+        self.time = if left == 1.0 { until } else { self.time + dt };
+        self.steps += 1;
+        let rates = self.find_speeds();
+        self.next_dt = self.choose_step(longest, rates, fastest);
+        if self.next_dt.0 < SHORTEST_STEP * self.time_scale() {
+            return Err(self.collapsed());
+        }
+        Clock::lap(&mut self.clock, Stage::Correction);
+        Ok(report)
+    }
+
+    /// The algorithm of the module, once; leaves what limits the next step to be found.
+    fn advance_once(
+        &mut self,
+        dt: f64,
+        limit: Limit,
+    ) -> Result<(StepReport, Fastest<f64>), StepError> {
+        let rows = self.rows;
         let inverse_spacing = self.grid.spacing.map(|h| R::of(1.0 / h));
         let inverse_square = inverse_square(&self.grid);
         let gas_courant = dt * self.gas_speed;
@@ -485,9 +512,6 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
 
         self.keep_gas_flux(dt);
 
-        // The last step ends there to the bit, whatever the sum of the steps rounds to.
-        self.time = if left == 1.0 { until } else { self.time + dt };
-        self.steps += 1;
         let report = StepReport {
             dt,
             limit,
@@ -495,22 +519,16 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             iterations: solve.iterations,
             volume_residual: solve.residual * dt,
         };
-        let (sound, diffusivity) = (fastest.sound_squared.f64(), fastest.diffusivity.f64());
-        let finite = report.volume_residual.is_finite() && sound.is_finite();
-        if !(finite && diffusivity.is_finite() && self.is_finite()) {
+        let fastest = fastest.f64();
+        if !(report.volume_residual.is_finite() && fastest.is_finite() && self.is_finite()) {
             return Err(self.not_finite(&report));
         }
         // Round-off stops single precision above the tolerance; that much is no failure.
         if report.volume_residual > 100.0 * TOLERANCE {
             return Err(self.not_converged(&report));
         }
-        let solids_rates = self.find_speeds();
-        self.next_dt = self.choose_step(longest, solids_rates, sound, diffusivity, inverse_square);
-        if self.next_dt.0 < SHORTEST_STEP * self.time_scale() {
-            return Err(self.collapsed());
-        }
         Clock::lap(&mut self.clock, Stage::Correction);
-        Ok(report)
+        Ok((report, fastest))
     }
 
     /// The longest next time step after one that might have been `longest`, and what limits it.
@@ -518,11 +536,10 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         &self,
         longest: f64,
         [solids_speed, filling]: [f64; 2],
-        sound_squared: f64,
-        diffusivity: f64,
-        inverse_square: f64,
+        Fastest { sound_squared, diffusivity }: Fastest<f64>,
     ) -> (f64, Limit) {
         let tiny = 1e-300;
+        let inverse_square = inverse_square(&self.grid);
         let diffusivity = diffusivity.max(gas_diffusivity(&self.setup));
         [
             (COURANT / (solids_speed + tiny), Limit::Solids),

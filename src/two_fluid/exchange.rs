@@ -217,8 +217,8 @@ simd! {
 
 simd! {
     /// Largest rates of the cells of a row \[1/s\]: Σ_a |u_a| / h_a, each |u_a| the larger of its two
-    /// faces, of the solids where their fraction is above `thin`, and of the gas; and -∇·(φ u_s), what
-    /// fills a cell, over the room that is left in it: what it lacks to the fraction `packed`, at least
+    /// faces, of the solids where their fraction is above `thin`, and of the gas; and the most of -∇·(φ u_s),
+    /// what fills a cell, over the room that is left in it: what it lacks to the fraction `packed`, at least
     /// `least`. `phi` is below, here and above along each axis.
     pub(super) fn rates_row[R: Real, const D: usize](
         solids: [[&[R]; 2]; D],
@@ -245,10 +245,16 @@ simd! {
         macro_rules! see {
             ($lane:expr, $i:ident) => {
                 let fast = R::select(here[$i] > thin, rate!(solids, $i), R::ZERO);
+                // What limited slopes may make of what flows in; what flows out is a mean.
                 let filling = sum_axes!(D, solids, |[lower, upper], a| {
                     let [below, here, above] = phi[a];
-                    half * inverse_spacing[a]
-                        * (lower[$i] * (below[$i] + here[$i]) - upper[$i] * (here[$i] + above[$i]))
+                    let (below, here, above) = (below[$i], here[$i], above[$i]);
+                    let (up, down) = (lower[$i].max(R::ZERO), -upper[$i].min(R::ZERO));
+                    let (from, to) = (lower[$i].min(R::ZERO), -upper[$i].max(R::ZERO));
+                    inverse_spacing[a]
+                        * (up * below.max(here)
+                            + down * above.max(here)
+                            + half * (from * (below + here) + to * (here + above)))
                 });
                 let room = (packed - here[$i]).max(least);
                 largest[0][$lane] = largest[0][$lane].max(fast);
