@@ -81,8 +81,8 @@ const SOUND_COURANT: f64 = 0.9;
 
 /// Solids fraction above the densest packing that no step is to fill a cell beyond, and the least room
 /// up to there: what has come this close is left to the contact pressure.
-const PACKED: f64 = 0.006;
-const LEAST_ROOM: f64 = 0.0015;
+const PACKED: f64 = 0.01;
+const LEAST_ROOM: f64 = 0.001;
 
 /// Largest viscosity and conductivity per mass, times dt and Σ 1/h², at which an explicit step is
 /// stable and loses kinetic energy. Limits the step, and in nearly empty cells, whose mean free path
