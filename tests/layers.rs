@@ -49,7 +49,7 @@ const ALLOWED: &[(&str, &str)] = &[
     ("terms", "case laws"),
     (
         "pipeline",
-        "bench case checkpoint compare figure fine fit forms laws model output pool progress resolved series simulate stability statistics stored summary sums table",
+        "bench case checkpoint closure compare figure fine fit forms laws model output pool progress resolved series simulate stability statistics stored summary sums table",
     ),
     (
         "bench",
