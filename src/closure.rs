@@ -20,6 +20,7 @@ use crate::expression::{Expression, Meaning, Program};
 use crate::fit::{Coefficient, Goodness, ReferenceLength, ValidRange};
 use crate::forms::{self, Marker};
 use crate::model::{Definitions, Model, Outside, System};
+use crate::spline::Spline;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -58,6 +59,9 @@ pub struct ClosureFile {
     /// Named formulae in its formulae.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub formulae: BTreeMap<String, String>,
+    /// Named surfaces in its formulae.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub splines: BTreeMap<String, Spline>,
     /// Errors of its coefficients, if it was fitted to a run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fit: Option<FitFile>,
@@ -304,6 +308,7 @@ impl ClosureFile {
             system: Some(model.system),
             constants,
             formulae: BTreeMap::new(),
+            splines: BTreeMap::new(),
             fit: Some(fit),
             quantities: vec![quantity],
             known_flaws: Vec::new(),
@@ -385,6 +390,20 @@ impl Closure {
             let formula =
                 Expression::parse(text).map_err(|why| wrong(&format!("formulae.{name}"), why))?;
             formulae.insert(name.clone(), formula);
+        }
+        for (name, spline) in &file.splines {
+            let place = format!("splines.{name}");
+            spline.check().map_err(|why| wrong(&place, why))?;
+            for (name, text) in spline.formulae(name) {
+                let taken = Marker::of_symbol(&name).is_some()
+                    || file.constants.contains_key(&name)
+                    || formulae.contains_key(&name);
+                if taken {
+                    return Err(wrong(&place, format!("`{name}` means something else here")));
+                }
+                let formula = Expression::parse(&text).map_err(|why| wrong(&place, why))?;
+                formulae.insert(name, formula);
+            }
         }
         let mut quantities: Vec<Quantity> = Vec::new();
         for quantity in &file.quantities {
