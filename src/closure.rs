@@ -17,7 +17,7 @@
 //! Values are scaled; the unit of a quantity says by what.
 
 use crate::expression::{Expression, Meaning, Program};
-use crate::fit::{ReferenceLength, ValidRange};
+use crate::fit::{Coefficient, ReferenceLength, ValidRange};
 use crate::forms::{self, Marker};
 use crate::model::{Definitions, Model, ModelError, Outside, System};
 use serde::{Deserialize, Serialize};
@@ -142,6 +142,8 @@ pub struct Closure {
     pub file: ClosureFile,
     /// Its quantities.
     pub quantities: Vec<Quantity>,
+    /// Of a fit: its coefficients with their intervals.
+    pub coefficients: Vec<Coefficient>,
     formulae: BTreeMap<String, Expression>,
 }
 
@@ -316,7 +318,8 @@ impl Closure {
             quantities: vec![quantity],
             known_flaws: Vec::new(),
         };
-        Self::compile(file, path)
+        let closure = Self::compile(file, path)?;
+        Ok(Self { coefficients: model.coefficients.clone(), ..closure })
     }
 
     fn compile(file: ClosureFile, path: &Path) -> Result<Self, ClosureError> {
@@ -366,7 +369,7 @@ impl Closure {
                 program,
             });
         }
-        Ok(Self { file, quantities, formulae })
+        Ok(Self { file, quantities, coefficients: Vec::new(), formulae })
     }
 
     /// The quantity named `name`, or the first one.

@@ -36,6 +36,7 @@ pub mod sums;
 
 pub mod closure;
 pub mod compare;
+pub mod export;
 pub mod fit;
 pub mod forms;
 pub mod lint;
