@@ -245,8 +245,12 @@ pub fn meaning(marker: Marker) -> &'static str {
         Marker::SolidsFraction => "filtered solids fraction",
         Marker::FilterWidth => "filter width over the reference length",
         Marker::Slip => "filtered slip speed over u_t",
-        Marker::ShearRate => "shear rate of the filtered solids velocity, S u_t/g, S = sqrt(2 Sd:Sd)",
-        Marker::GasShearRate => "shear rate of the filtered gas velocity, S u_t/g, S = sqrt(2 Sd:Sd)",
+        Marker::ShearRate => {
+            "shear rate of the filtered solids velocity, S u_t/g, S = sqrt(2 Sd:Sd)"
+        }
+        Marker::GasShearRate => {
+            "shear rate of the filtered gas velocity, S u_t/g, S = sqrt(2 Sd:Sd)"
+        }
         Marker::WallDistance => "distance from the wall times g/u_t^2",
         Marker::PressureGradient => "vertical filtered pressure gradient over rho_s g",
     }
@@ -328,9 +332,8 @@ impl<'a> Facts<'a> {
         let formula = |why| ExportError::Formula { closure: file.name.clone(), why };
         let mut numbers = Vec::new();
         for quantity in &closure.quantities {
-            numbers.push(
-                lowering.add(&quantity.file.predicts, &quantity.formula).map_err(formula)?,
-            );
+            numbers
+                .push(lowering.add(&quantity.file.predicts, &quantity.formula).map_err(formula)?);
         }
         let base = solver::base_drag(&file.definitions.drag);
         let base = base.map(|law| lowering.add("base_drag", &law).map_err(formula)).transpose()?;
@@ -410,7 +413,8 @@ impl<'a> Facts<'a> {
         }
         for quantity in &self.quantities {
             let (predicts, unit) = (&quantity.predicts, &quantity.unit);
-            readme += &format!("- `{predicts}` \\[{unit}\\]: {}.\n", quantity.range_lines().join("; "));
+            readme +=
+                &format!("- `{predicts}` \\[{unit}\\]: {}.\n", quantity.range_lines().join("; "));
         }
         readme += &format!(
             "- {} Reference length {}; u_t is the {}.\n- SHA-256 of `closure.toml`: `{}`; favre {}.\n",

@@ -114,9 +114,7 @@ fn quantity(quantity: &Quantity, outside: Outside) -> String {
     let inside: Vec<String> = quantity
         .ranges
         .iter()
-        .map(|r| {
-            format!("{0} >= {1} && {0} <= {2}", r.symbol(), digits(r.low), digits(r.high))
-        })
+        .map(|r| format!("{0} >= {1} && {0} <= {2}", r.symbol(), digits(r.low), digits(r.high)))
         .collect();
     let _ = writeln!(
         out,
@@ -130,8 +128,7 @@ fn quantity(quantity: &Quantity, outside: Outside) -> String {
 /// The header.
 pub fn header(facts: &Facts) -> String {
     let about: Vec<String> = facts.about.iter().map(|line| safe(line)).collect();
-    let quantities: String =
-        facts.quantities.iter().map(|q| quantity(q, facts.outside)).collect();
+    let quantities: String = facts.quantities.iter().map(|q| quantity(q, facts.outside)).collect();
     fill(
         include_str!("c/favre_closure.h"),
         &[
@@ -153,8 +150,7 @@ fn check(facts: &Facts) -> String {
         let width = quantity.ranges.len() + 1;
         let _ = writeln!(tests, "    {{\n        static const double at[{count}][{width}] = {{");
         for (point, expected) in &quantity.vectors {
-            let numbers: Vec<String> =
-                point.iter().chain([expected]).map(|x| digits(*x)).collect();
+            let numbers: Vec<String> = point.iter().chain([expected]).map(|x| digits(*x)).collect();
             let _ = writeln!(tests, "            {{{}}},", numbers.join(", "));
         }
         let arguments: Vec<String> = (0..width - 1).map(|i| format!("at[i][{i}]")).collect();

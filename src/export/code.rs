@@ -369,7 +369,8 @@ pub fn comment(prefix: &str, lines: &[String]) -> String {
     for line in lines {
         let mut at = String::new();
         for word in line.split_whitespace() {
-            if !at.is_empty() && prefix.len() + at.chars().count() + 1 + word.chars().count() > 100 {
+            if !at.is_empty() && prefix.len() + at.chars().count() + 1 + word.chars().count() > 100
+            {
                 text += format!("{prefix}{at}").trim_end();
                 text.push('\n');
                 at = "  ".to_owned();

@@ -200,7 +200,10 @@ fn parameter(name: &str, value: &str) -> String {
     if parts.is_empty() {
         parts.push(quoted(""));
     }
-    format!("  character(len=*), parameter, public :: {name} = &\n    {}\n", parts.join(" // &\n    "))
+    format!(
+        "  character(len=*), parameter, public :: {name} = &\n    {}\n",
+        parts.join(" // &\n    ")
+    )
 }
 
 /// The module.
@@ -230,11 +233,11 @@ fn check(facts: &Facts) -> String {
     let mut tests = String::new();
     for quantity in &facts.quantities {
         for (i, (point, expected)) in quantity.vectors.iter().enumerate() {
-            let point: Vec<String> =
-                point.iter().map(|x| Fortran.number(*x).text).collect();
+            let point: Vec<String> = point.iter().map(|x| Fortran.number(*x).text).collect();
             let (name, point) = (&quantity.name, point.join(", "));
             let expected = Fortran.number(*expected).text;
-            let call = format!("call compare('{name}', {}, favre_{name}({point}), {expected})", i + 1);
+            let call =
+                format!("call compare('{name}', {}, favre_{name}({point}), {expected})", i + 1);
             tests += &statement("  ", &call);
         }
     }
@@ -266,7 +269,8 @@ mod tests {
 
     #[test]
     fn long_statements_break_between_tokens() {
-        let factors: Vec<String> = (0..40).map(|i| format!("a{i}**b{i}*(c{i} - 1.0e-5_dp)")).collect();
+        let factors: Vec<String> =
+            (0..40).map(|i| format!("a{i}**b{i}*(c{i} - 1.0e-5_dp)")).collect();
         let long = format!("y = {}", factors.join("*"));
         let broken = statement("    ", &long);
         assert!(broken.lines().count() > 5);

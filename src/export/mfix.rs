@@ -49,10 +49,9 @@ pub fn export(solver: &Solver) -> Vec<Piece> {
         keywords += "    USR_MUS(1) = .TRUE.\n    GRANULAR_ENERGY = .FALSE.\n";
     }
     let system = &solver.system;
-    let stokes = system.gravity
-        * system.diameter.powi(2)
-        * (system.particle_density - system.gas_density)
-        / (18.0 * system.gas_viscosity);
+    let stokes =
+        system.gravity * system.diameter.powi(2) * (system.particle_density - system.gas_density)
+            / (18.0 * system.gas_viscosity);
     let readme = fill(
         include_str!("mfix/README.md"),
         &[

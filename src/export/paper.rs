@@ -15,10 +15,9 @@ impl Language for Latex {
     fn number(&self, value: f64) -> Text {
         let plain = short(value);
         match plain.split_once('e') {
-            Some((mantissa, exponent)) => Text {
-                text: format!("{mantissa}\\times 10^{{{exponent}}}"),
-                binds: Binds::Product,
-            },
+            Some((mantissa, exponent)) => {
+                Text { text: format!("{mantissa}\\times 10^{{{exponent}}}"), binds: Binds::Product }
+            }
             None if value < 0.0 => Text { text: plain, binds: Binds::Sum },
             None => Text::whole(plain),
         }
@@ -154,11 +153,16 @@ fn escaped(text: &str) -> String {
 }
 
 /// The formulae of a quantity: itself, then what it is made of, each once.
-fn equations(facts: &Facts, quantity: &Quantity, done: &mut BTreeSet<String>) -> Vec<(String, String)> {
+fn equations(
+    facts: &Facts,
+    quantity: &Quantity,
+    done: &mut BTreeSet<String>,
+) -> Vec<(String, String)> {
     let compiled = facts.closure.quantity(Some(&quantity.predicts));
     let formula = &compiled.expect("the facts are the closure's").formula;
     let mut out = Vec::new();
-    let mut waiting: Vec<(String, &Expression)> = vec![(quantity_symbol(&quantity.predicts), formula)];
+    let mut waiting: Vec<(String, &Expression)> =
+        vec![(quantity_symbol(&quantity.predicts), formula)];
     while let Some((left, formula)) = waiting.pop() {
         out.push((left, text(formula.root(), &Latex).text));
         let names = formula.names();
@@ -221,7 +225,10 @@ pub fn latex(facts: &Facts) -> Vec<Piece> {
     let mut done = BTreeSet::new();
     for quantity in &facts.quantities {
         for (left, right) in equations(facts, quantity, &mut done) {
-            let _ = write!(equations_text, "\\begin{{equation}}\n{left} = {right}\n\\end{{equation}}\n");
+            let _ = write!(
+                equations_text,
+                "\\begin{{equation}}\n{left} = {right}\n\\end{{equation}}\n"
+            );
         }
     }
     let mut rows = String::new();
@@ -253,10 +260,8 @@ pub fn latex(facts: &Facts) -> Vec<Piece> {
             ("hash", &facts.hash),
         ],
     );
-    let readme = fill(
-        include_str!("paper/README.md"),
-        &[("name", &facts.name), ("facts", &facts.readme)],
-    );
+    let readme =
+        fill(include_str!("paper/README.md"), &[("name", &facts.name), ("facts", &facts.readme)]);
     vec![Piece::text("closure.tex", file), Piece::text("README.md", readme)]
 }
 

@@ -161,8 +161,7 @@ impl<'a> Solver<'a> {
 
 /// The founding study's 75 µm catalyst in air.
 fn founding() -> System {
-    let powder =
-        Powder { diameter: 75e-6, density: 1500.0, restitution: 0.9, max_packing: 0.65 };
+    let powder = Powder { diameter: 75e-6, density: 1500.0, restitution: 0.9, max_packing: 0.65 };
     let gas = Gas { density: 1.3, viscosity: 1.8e-5 };
     System::new(&powder, &gas, &Scales::new(&powder, &gas, 9.81))
 }
@@ -194,7 +193,8 @@ mod tests {
             let formula = base_drag(name).unwrap();
             for phi in [1e-6, 0.05, 0.19, 0.21, 0.4, 0.64] {
                 for speed in [1e-9, 0.01, 0.2184, 3.0, 500.0, 1e4] {
-                    let reynolds = (1.0 - phi) * gas.density * powder.diameter * speed / gas.viscosity;
+                    let reynolds =
+                        (1.0 - phi) * gas.density * powder.diameter * speed / gas.viscosity;
                     let found = formula
                         .evaluate(1, &|name| {
                             Ok(vec![vec![if name == REYNOLDS { reynolds } else { phi }]])

@@ -71,9 +71,10 @@ impl<'a> Table<'a> {
             .collect();
         let exact = values(compiled, &middles);
         let mut table = Self { quantity, axes, values: values_here, error: 0.0 };
-        table.error = table.interpolated(&middles).zip(&exact).fold(0.0, |worst: f64, (a, b)| {
-            worst.max((a - b).abs())
-        });
+        table.error = table
+            .interpolated(&middles)
+            .zip(&exact)
+            .fold(0.0, |worst: f64, (a, b)| worst.max((a - b).abs()));
         Ok(table)
     }
 
@@ -151,7 +152,9 @@ impl<'a> Table<'a> {
         let mut axes: Vec<(usize, f64, f64)> = self
             .axes
             .iter()
-            .map(|axis| (axis.len(), axis[0], (axis[axis.len() - 1] - axis[0]) / (axis.len() - 1) as f64))
+            .map(|axis| {
+                (axis.len(), axis[0], (axis[axis.len() - 1] - axis[0]) / (axis.len() - 1) as f64)
+            })
             .collect();
         axes.resize(3, (1, 0.0, 1.0));
         let join = |f: &dyn Fn(&(usize, f64, f64)) -> String| {
@@ -238,8 +241,14 @@ mod tests {
         let point = [table.axes[0][a], table.axes[1][b], table.axes[2][c]];
         let at = (a * table.axes[1].len() + b) * table.axes[2].len() + c;
         assert_eq!(table.values[at], compiled.at(&point));
-        let row: Vec<f64> =
-            table.csv().lines().nth(at + 1).unwrap().split(',').map(|x| x.parse().unwrap()).collect();
+        let row: Vec<f64> = table
+            .csv()
+            .lines()
+            .nth(at + 1)
+            .unwrap()
+            .split(',')
+            .map(|x| x.parse().unwrap())
+            .collect();
         assert_eq!(row, [&point[..], &[table.values[at]]].concat());
         // The third axis slowest.
         let vti = table.vti(&facts);
