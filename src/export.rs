@@ -300,11 +300,11 @@ pub struct Facts<'a> {
 }
 
 impl<'a> Facts<'a> {
-    /// The facts of `closure`.
+    /// The facts of `closure`; `for_solver`: with the drag law that it corrects.
     ///
     /// # Errors
     /// A constant or a formula that cannot be written.
-    pub fn new(closure: &'a Closure) -> Result<Self, ExportError> {
+    pub fn new(closure: &'a Closure, for_solver: bool) -> Result<Self, ExportError> {
         let file = &closure.file;
         let name = || file.name.clone();
         let toml = toml::to_string_pretty(file)
@@ -335,7 +335,7 @@ impl<'a> Facts<'a> {
             numbers
                 .push(lowering.add(&quantity.file.predicts, &quantity.formula).map_err(formula)?);
         }
-        let base = solver::base_drag(&file.definitions.drag);
+        let base = solver::base_drag(&file.definitions.drag).filter(|_| for_solver);
         let base = base.map(|law| lowering.add("base_drag", &law).map_err(formula)).transpose()?;
         let code = lowering.finish();
         let quantities = closure
@@ -474,7 +474,8 @@ struct Contents<'a> {
 /// # Errors
 /// [`ExportError`]: what the target cannot be given, and the nearest that it can.
 pub fn export(closure: &Closure, target: Target) -> Result<Vec<Piece>, ExportError> {
-    let facts = Facts::new(closure)?;
+    let for_solver = matches!(target, Target::OpenFoam | Target::Mfix | Target::Fluent);
+    let facts = Facts::new(closure, for_solver)?;
     if facts.quantities.is_empty() && target != Target::Markdown {
         let (closure, missing) = (facts.name.clone(), closure.file.missing.join(" "));
         return Err(ExportError::NoFormula { closure, missing });
@@ -543,7 +544,7 @@ mod tests {
                         for file in ["README.md", "closure.toml", RUN_FILE] {
                             assert!(pieces.iter().any(|piece| piece.path == file), "{text} {file}");
                         }
-                        let facts = Facts::new(&closure).unwrap();
+                        let facts = Facts::new(&closure, false).unwrap();
                         let readme = pieces.iter().find(|piece| piece.path == "README.md").unwrap();
                         let readme = String::from_utf8(readme.bytes.clone()).unwrap();
                         for word in [&facts.name, &facts.hash, &facts.reference] {

@@ -97,6 +97,12 @@ pub fn text(node: &Node, language: &dyn Language) -> Text {
         // A closure has no vectors; compiling it has refused them.
         Node::Component(inner, _) => text(inner, language),
         Node::Binary(operator, a, b) => {
+            // (-a)*b is -(a*b) to the last bit, and reads better.
+            if let (Node::Negative(inner), Operator::Multiply | Operator::Divide) = (&**a, operator)
+            {
+                let product = Node::Binary(*operator, inner.clone(), b.clone());
+                return text(&Node::Negative(Box::new(product)), language);
+            }
             let (left, right) = (text(a, language), text(b, language));
             let sign = match operator {
                 Operator::Multiply => return language.product(left, right),
@@ -417,7 +423,7 @@ mod tests {
         }
         assert_eq!(written("(-a)^2 - a^b^c", &C), "favre_square(-a) - pow(a, pow(b, c))");
         assert_eq!(written("(-a)^2 - a^(b^c)", &Fortran), "(-a)**2 - a**(b**c)");
-        assert_eq!(written("a*-b - -2*c", &Fortran), "a*(-b) - (-2.0_dp)*c");
+        assert_eq!(written("a*-b - -2*c", &Fortran), "a*(-b) - (-(2.0_dp*c))");
         assert_eq!(written("1e-300 + 1e21", &Fortran), "1e-300_dp + 1e21_dp");
         assert_eq!(written("(a + b)^1.5 + a^0.5", &Fortran), "(a + b)*sqrt(a + b) + sqrt(a)");
         assert_eq!(

@@ -99,9 +99,19 @@ pub fn constants(code: &Code, indent: &str) -> String {
         .collect()
 }
 
+/// Small functions that others call, those that `code` does.
+pub fn helpers(code: &str) -> String {
+    let helpers = include_str!("fortran/helpers.f90").split_inclusive("\n\n");
+    let name = |helper: &str| {
+        let start = helper.split("elemental function ").nth(1)?;
+        Some(start.split_inclusive('(').next()?.to_owned())
+    };
+    helpers.filter(|helper| name(helper).is_some_and(|name| code.contains(&name))).collect()
+}
+
 /// The routines, as they stand after `contains`.
 pub fn routines(code: &Code) -> String {
-    let mut out = include_str!("fortran/helpers.f90").to_owned();
+    let mut out = String::new();
     for routine in &code.routines {
         let (name, inputs) = (&routine.name, routine.inputs.join(", "));
         out.push('\n');
@@ -181,6 +191,12 @@ pub fn quantities(facts: &Facts) -> String {
     facts.quantities.iter().map(|q| quantity(q, facts.outside)).collect()
 }
 
+/// All functions, as they stand after `contains`.
+pub fn functions(facts: &Facts) -> String {
+    let functions = routines(&facts.code) + &quantities(facts);
+    helpers(&functions) + functions.trim_start_matches('\n')
+}
+
 /// `text` inside a Fortran string.
 pub fn quoted(text: &str) -> String {
     let plain = |c: char| if c.is_ascii_graphic() || c == ' ' { c } else { '?' };
@@ -222,8 +238,7 @@ pub fn module(facts: &Facts) -> String {
             ("reference", &parameter("favre_closure_reference", &facts.reference)),
             ("public", &public),
             ("constants", &constants(&facts.code, "  ")),
-            ("routines", &routines(&facts.code)),
-            ("quantities", &quantities(facts)),
+            ("functions", &functions(facts)),
         ],
     )
 }

@@ -18,7 +18,7 @@ pub fn export(solver: &Solver) -> Vec<Piece> {
     let facts = solver.facts;
     let about = comment("! ", &facts.about);
     let constants = fortran::constants(&facts.code, "      ");
-    let functions = fortran::routines(&facts.code) + &fortran::quantities(facts);
+    let functions = fortran::functions(facts);
     let length = match facts.closure.file.reference_length {
         ReferenceLength::One => "u_t**2/g",
         ReferenceLength::Two => "d*(u_t**2/(g*d))**(1.0_dp/3.0_dp)",

@@ -120,7 +120,13 @@ fn common(solver: &Solver, folder: &str) -> Vec<Piece> {
     let (drag, stress) = entries(solver);
     let model = if solver.has_stress() { "favreStress" } else { "phasePressure" };
     let mut texts = solver.numbers();
-    texts.extend([("drag", drag), ("stress", stress), ("model", model.into())]);
+    let temperature = digits(temperature(solver));
+    texts.extend([
+        ("drag", drag),
+        ("stress", stress),
+        ("model", model.into()),
+        ("temperature", temperature),
+    ]);
     [
         ("constant/phaseProperties", include_str!("openfoam/case/phaseProperties")),
         (
@@ -164,6 +170,11 @@ fn control(folder: &str, step: f64, longest: f64, interval: f64, end: f64) -> Pi
     Piece::text(&format!("{folder}/system/controlDict"), text)
 }
 
+/// Temperature \[K\] at which air, an ideal gas, has the gas's density at 1e5 Pa.
+fn temperature(solver: &Solver) -> f64 {
+    (1e5 * 28.9 / (8314.47 * solver.system.gas_density) * 1e3).round() / 1e3
+}
+
 /// Cell width \[m\] at which the filter is as wide as the cases have it.
 fn cell(solver: &Solver) -> f64 {
     let quantities = solver.drag.iter().chain(&solver.viscosity).chain(&solver.pressure);
@@ -181,6 +192,7 @@ fn dimensions(name: &str) -> &'static str {
         Some("p" | "p_rgh") => "[1 -1 -2 0 0 0 0]",
         Some("T") => "[0 0 0 1 0 0 0]",
         Some("nut") => "[0 2 -1 0 0 0 0]",
+        Some("alphat") => "[1 -1 -1 0 0 0 0]",
         _ => "[0 0 0 0 0 0 0]",
     }
 }
@@ -225,15 +237,17 @@ fn periodic_box(solver: &Solver) -> Vec<Piece> {
             );
         }
     }
+    let temperature = format!("uniform {}", digits(temperature(solver)));
     let fields = [
         ("alpha.particles", fractions + ")"),
         ("U.particles", velocities + ")"),
         ("U.air", "uniform (0 0 0)".into()),
         ("p", "uniform 1e5".into()),
         ("p_rgh", "uniform 1e5".into()),
-        ("T.particles", "uniform 300".into()),
-        ("T.air", "uniform 300".into()),
+        ("T.particles", temperature.clone()),
+        ("T.air", temperature),
         ("nut.particles", "uniform 0".into()),
+        ("alphat.particles", "uniform 0".into()),
     ];
     for (name, internal) in fields {
         let text = fill(
@@ -289,6 +303,7 @@ fn riser(solver: &Solver) -> Vec<Piece> {
     };
     let calculated = "type calculated; value $internalField;".to_owned();
     let pressure = "type fixedFluxPressure; value $internalField;".to_owned();
+    let warm = digits(temperature(solver));
     // Name, inside, inlet, outlet, walls.
     let fields = [
         (
@@ -323,9 +338,10 @@ fn riser(solver: &Solver) -> Vec<Piece> {
             "type prghPressure; p $internalField; value $internalField;".into(),
             pressure,
         ),
-        ("T.particles", "300".into(), fixed("300"), out("particles", "300"), zero_gradient.into()),
-        ("T.air", "300".into(), fixed("300"), out("air", "300"), zero_gradient.into()),
-        ("nut.particles", "0".into(), calculated.clone(), calculated.clone(), calculated),
+        ("T.particles", warm.clone(), fixed(&warm), out("particles", &warm), zero_gradient.into()),
+        ("T.air", warm.clone(), fixed(&warm), out("air", &warm), zero_gradient.into()),
+        ("nut.particles", "0".into(), calculated.clone(), calculated.clone(), calculated.clone()),
+        ("alphat.particles", "0".into(), calculated.clone(), calculated.clone(), calculated),
     ];
     for (name, internal, inlet, outlet, walls) in fields {
         let text = fill(
@@ -344,7 +360,7 @@ fn riser(solver: &Solver) -> Vec<Piece> {
     }
     let step = rounded(0.002 * cell / u_t);
     let interval = rounded(10.0 * cell / u_t);
-    pieces.push(control("riser", step, 20.0 * step, interval, 10.0 * interval));
+    pieces.push(control("riser", step, 20.0 * step, interval, 2.5 * interval));
     pieces
 }
 

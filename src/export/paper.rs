@@ -310,7 +310,7 @@ mod tests {
     #[test]
     fn the_fitted_model_reads_as_in_a_paper() {
         let closure = Closure::find("default").unwrap();
-        let facts = Facts::new(&closure).unwrap();
+        let facts = Facts::new(&closure, false).unwrap();
         let tex = of(&latex(&facts)[0]);
         assert!(tex.contains("H = "), "{tex}");
         assert!(tex.contains("\\begin{cases}") || tex.contains("\\frac"), "{tex}");
@@ -324,7 +324,7 @@ mod tests {
     fn every_equation_is_balanced_and_no_superscript_stands_on_another() {
         for (name, _) in BUILT_IN {
             let closure = Closure::find(name).unwrap();
-            let facts = Facts::new(&closure).unwrap();
+            let facts = Facts::new(&closure, false).unwrap();
             let mut done = BTreeSet::new();
             for quantity in &facts.quantities {
                 for (left, right) in equations(&facts, quantity, &mut done) {

@@ -234,7 +234,7 @@ mod tests {
     #[test]
     fn a_table_holds_the_closure_at_its_points() {
         let closure = Closure::find("sarkar-2016").unwrap();
-        let facts = Facts::new(&closure).unwrap();
+        let facts = Facts::new(&closure, false).unwrap();
         let (quantity, compiled) = (&facts.quantities[0], &closure.quantities[0]);
         let table = Table::new(&facts, quantity, compiled).unwrap();
         let [a, b, c] = [3, 7, 11];
@@ -267,7 +267,7 @@ mod tests {
         let text = include_str!("../../models/igci-sundaresan-2011-2d.toml")
             .replace("formula = \"f*h\"", "formula = \"D^2\"");
         let closure = Closure::parse(&text, std::path::Path::new("m.toml")).unwrap();
-        let facts = Facts::new(&closure).unwrap();
+        let facts = Facts::new(&closure, false).unwrap();
         let table = Table::new(&facts, &facts.quantities[0], &closure.quantities[0]).unwrap();
         // f'' step²/8.
         let step = (16.448 - 1.0) / 64.0;

@@ -7,5 +7,5 @@ module favre_closure
 {{name}}{{hash}}{{reference}}{{public}}{{constants}}
 contains
 
-{{routines}}{{quantities}}
+{{functions}}
 end module favre_closure

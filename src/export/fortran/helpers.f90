@@ -5,6 +5,7 @@
     y = merge(a, b, a < b .or. a /= a)
   end function favre_min
 
+  ! Of what is not a number nothing is hidden.
   elemental function favre_max(a, b) result(y)
     real(dp), intent(in) :: a, b
     real(dp) :: y
@@ -16,3 +17,4 @@
     real(dp) :: y
     y = merge(low, merge(high, x, x > high), x < low)
   end function favre_clamp
+

@@ -57,6 +57,7 @@ Foam::dragModels::favreDrag::favreDrag
     coefficient_(),
     fraction_(),
     slip_(),
+    reynolds_(),
     factor_()
 {
     dict.readIfPresent("filterSizeRatio", ratio_);
@@ -125,27 +126,30 @@ Foam::tmp<Foam::volScalarField> Foam::dragModels::favreDrag::CdRe() const
     const volScalarField slip(FAVRE_INTERFACE.magUr());
     const scalar rate = uT_/g_;
 {{rates}}
-    tmp<volScalarField> tResult(FAVRE_INTERFACE.Re());
-    volScalarField factor(tResult()), & result = tResult.ref();
+    const volScalarField Re(FAVRE_INTERFACE.Re());
+    volScalarField factor(Re);
+    tmp<volScalarField> tResult(new volScalarField("CdRe", Re));
+    volScalarField& result = tResult.ref();
     forAll(result, i)
     {
         factor[i] = favreFactor(phi[i], width_[i], slip[i]/uT_, {{cell_rates}});
-        result[i] = factor[i]*favreBase(phi[i], result[i]);
+        result[i] = factor[i]*favreBase(phi[i], Re[i]);
     }
-    // A face of the boundary has the filter width of its cell
+    // A face of a boundary has the filter width of its cell
     forAll(result.boundaryField(), p)
     {
         fvPatchScalarField& face = result.boundaryFieldRef()[p];
         fvPatchScalarField& faceFactor = factor.boundaryFieldRef()[p];
         const labelUList& cells = face.patch().faceCells();
         const scalarField& facePhi = phi.boundaryField()[p];
+        const scalarField& faceRe = Re.boundaryField()[p];
         const scalarField& faceSlip = slip.boundaryField()[p];
         forAll(face, f)
         {
             const label i = cells[f];
             faceFactor[f] =
                 favreFactor(facePhi[f], width_[i], faceSlip[f]/uT_, {{cell_rates}});
-            face[f] = faceFactor[f]*favreBase(facePhi[f], face[f]);
+            face[f] = faceFactor[f]*favreBase(facePhi[f], faceRe[f]);
         }
     }
     (void)rate;
@@ -154,6 +158,7 @@ Foam::tmp<Foam::volScalarField> Foam::dragModels::favreDrag::CdRe() const
         keep(factor_, "favreDragFactor", factor);
         keep(fraction_, "favreDragFraction", phi);
         keep(slip_, "favreDragSlip", slip);
+        keep(reynolds_, "favreDragRe", Re);
     }
     return tResult;
 }
