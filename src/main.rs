@@ -246,7 +246,12 @@ fn pool(args: &cli::Filter) -> Result<(), Failure> {
 }
 
 fn export(args: &cli::Export) -> Result<(), Failure> {
-    let closure = Closure::find(&args.model).map_err(Failure::misuse)?;
+    let closure = Closure::find(&args.model).map_err(|error| {
+        let advice = "nothing can be exported of it as it is; nearest: correct the file, `favre models \
+                      check` looks at the whole of it, or write its formula and its ranges as those in \
+                      `favre models show default` are";
+        Failure::misuse(format!("{}: {advice}", chain(&error)))
+    })?;
     let pieces = export::export(&closure, args.to).map_err(Failure::misuse)?;
     let default = Path::new("favre-out").join(format!("{}-{}", closure.file.name, args.to));
     let dir = args.out.as_deref().unwrap_or(&default);

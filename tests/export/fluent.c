@@ -24,12 +24,12 @@ int main(void)
         mixture.sub[1] = &solids;
         gas.super = solids.super = &mixture;
 #ifdef DRAG
-        out[0] = favre_drag(0, &mixture, 0, 1);
-        out[1] = favre_drag_factor(0, &mixture, 0, 1);
+        out[0] = favre_udf_drag(0, &mixture, 0, 1);
+        out[1] = favre_udf_drag_factor(0, &mixture, 0, 1);
 #endif
 #ifdef STRESS
-        out[2] = favre_solids_viscosity(0, &solids);
-        out[3] = favre_solids_pressure(0, &solids);
+        out[2] = favre_udf_solids_viscosity(0, &solids);
+        out[3] = favre_udf_solids_pressure(0, &solids);
 #endif
         fwrite(out, sizeof out, 1, stdout);
     }

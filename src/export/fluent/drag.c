@@ -1,6 +1,6 @@
 
 /* Exchange coefficient K_gs = (1 - H) beta [kg/m3/s]. The gas is the first phase of the pair. */
-DEFINE_EXCHANGE_PROPERTY(favre_drag, c, mixture_thread, first_phase, second_phase)
+DEFINE_EXCHANGE_PROPERTY(favre_udf_drag, c, mixture_thread, first_phase, second_phase)
 {
     Thread *gas = THREAD_SUB_THREAD(mixture_thread, first_phase);
     Thread *solids = THREAD_SUB_THREAD(mixture_thread, second_phase);
@@ -14,7 +14,7 @@ DEFINE_EXCHANGE_PROPERTY(favre_drag, c, mixture_thread, first_phase, second_phas
 }
 
 /* The factor 1 - H alone, to modify a drag law that the panel offers. */
-DEFINE_EXCHANGE_PROPERTY(favre_drag_factor, c, mixture_thread, first_phase, second_phase)
+DEFINE_EXCHANGE_PROPERTY(favre_udf_drag_factor, c, mixture_thread, first_phase, second_phase)
 {
     Thread *gas = THREAD_SUB_THREAD(mixture_thread, first_phase);
     Thread *solids = THREAD_SUB_THREAD(mixture_thread, second_phase);

@@ -19,7 +19,7 @@ static double favre_shear_rate(cell_t c, Thread *solids)
 }
 
 /* Granular viscosity [Pa s], of the solids phase. */
-DEFINE_PROPERTY(favre_solids_viscosity, c, solids)
+DEFINE_PROPERTY(favre_udf_solids_viscosity, c, solids)
 {
     Thread *gas = THREAD_SUB_THREAD(THREAD_SUPER_THREAD(solids), FAVRE_GAS);
     favre_scales scales = favre_scales_of(c, gas, solids);
@@ -30,7 +30,7 @@ DEFINE_PROPERTY(favre_solids_viscosity, c, solids)
 }
 
 /* Solids pressure [Pa], of the solids phase. */
-DEFINE_PROPERTY(favre_solids_pressure, c, solids)
+DEFINE_PROPERTY(favre_udf_solids_pressure, c, solids)
 {
     Thread *gas = THREAD_SUB_THREAD(THREAD_SUPER_THREAD(solids), FAVRE_GAS);
     favre_scales scales = favre_scales_of(c, gas, solids);
