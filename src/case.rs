@@ -37,6 +37,7 @@
 //! | | `seed` | of the initial perturbation | a whole number | 1 |
 //! | | `perturbation` | relative amplitude of the initial perturbation | 0 to 0.5 | 0.05 |
 //! | | `precision` | of the simulator | `"f32"`, `"f64"` | `"f64"` |
+//! | | `time_order` | order of the simulator's steps in time; those of second order cost three | 1, 2 | 1 |
 //! | `[output]` | `fields` | snapshots of the fields, as the filter sees them | `"none"`, `"vti"`, `"npz"` | `"none"` |
 //! | | `fields_interval` | time between snapshots | a whole multiple of `sample_interval` | `sample_interval` |
 //!
@@ -396,6 +397,8 @@ pub struct RunCase {
     pub perturbation: f64,
     /// Precision of the simulator.
     pub precision: Precision,
+    /// Order of the simulator's steps in time, 1 or 2.
+    pub time_order: u64,
 }
 
 /// Floating-point precision of the simulator. Statistics are always double.
@@ -695,6 +698,7 @@ impl Case {
              seed = {}\n\
              perturbation = {:?}\n\
              precision = {}\n\
+             time_order = {}\n\
              \n[output]\n\
              fields = {}\n\
              fields_interval = {:?}\n",
@@ -727,6 +731,7 @@ impl Case {
             run.seed,
             run.perturbation,
             quoted(&run.precision),
+            run.time_order,
             quoted(&output.fields),
             output.fields_interval,
         )

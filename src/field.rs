@@ -205,9 +205,7 @@ impl<R: Real, const D: usize> Clone for Field<R, D> {
     fn clone(&self) -> Self {
         // The copy has an origin of its own.
         let mut copy = Self::zeros(self.layout);
-        let len = self.layout.len();
-        copy.data[copy.origin - PAD..][..len]
-            .copy_from_slice(&self.data[self.origin - PAD..][..len]);
+        copy.copy_from(self);
         copy
     }
 }
@@ -264,6 +262,13 @@ impl<R: Real, const D: usize> Field<R, D> {
             }
         }
         self.wrap();
+    }
+
+    /// Takes the numbers of a field of the same layout, halos and all.
+    pub fn copy_from(&mut self, from: &Self) {
+        let len = self.layout.len();
+        let own = &mut self.data[self.origin - PAD..][..len];
+        own.copy_from_slice(&from.data[from.origin - PAD..][..len]);
     }
 
     /// Fills the halos of the rows.

@@ -422,10 +422,7 @@ fn steps(reports: &[StepReport]) -> [StepReport; 2] {
 
 fn most_frequent(reports: &[StepReport]) -> Limit {
     let count = |limit| reports.iter().filter(|report| report.limit == limit).count();
-    [Limit::Growth, Limit::Solids, Limit::Gas, Limit::Sound, Limit::Longest, Limit::Diffusion]
-        .into_iter()
-        .max_by_key(|&limit| count(limit))
-        .unwrap_or(Limit::Growth)
+    Limit::ALL.into_iter().max_by_key(|&limit| count(limit)).unwrap_or(Limit::Growth)
 }
 
 /// The row with what is wrong with it.

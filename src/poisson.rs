@@ -4,7 +4,13 @@
 //! precision: the cycle only has to point the right way, and halving its memory traffic is most of
 //! its speed. Chebyshev-Jacobi smoothing, whose rows vectorise; coarse face coefficients are means
 //! of the coincident fine faces; corrections are constant per coarse cell, which keeps the
-//! preconditioner symmetric and harmless across jumps of k.
+//! preconditioner symmetric and harmless across jumps of k. Of flat or tall cells the axes along which
+//! they are short are halved first.
+//!
+//! A solve that takes long goes on with K-cycles (Notay & Vassilevski 2008): each coarse problem is
+//! solved by two steps of conjugate gradients, preconditioned by what is coarser still. That makes up
+//! for corrections that are constant per cell, whose size is wrong where k jumps, at twice the cost
+//! of an iteration; a bed in gas is done before.
 
 use crate::field::{Faces, Field, Layout, Row};
 use crate::grid::Grid;
@@ -14,15 +20,27 @@ use crate::rows::{Rows, by_axis, dot, max_abs, per_axis, simd, sum_axes};
 /// Precision of the preconditioner.
 type Fast = f32;
 
-/// Interval of eigenvalues of D⁻¹A that a smoothing sweep damps. The upper end is exact for a
-/// weakly diagonally dominant matrix; the lower is where the coarse grid takes over.
-const SMOOTHED: [f64; 2] = [0.45, 2.0];
+/// Chebyshev smoothing: an interval of eigenvalues of D⁻¹A that it damps, and in how many sweeps.
+type Smoothing = ([f64; 2], usize);
 
-/// Interval and degree on the coarsest grid, which nothing coarser helps.
-const COARSEST: ([f64; 2], usize) = ([0.08, 2.0], 8);
+/// The upper end is exact for a weakly diagonally dominant matrix; the lower is where the coarse grid
+/// takes over.
+const V_CYCLE: Smoothing = ([0.45, 2.0], 2);
+
+/// Where k jumps from face to face, coarse grids know less.
+const K_CYCLE: Smoothing = ([0.25, 2.0], 3);
+
+/// On the coarsest grid, which nothing coarser helps.
+const COARSEST: Smoothing = ([0.08, 2.0], 8);
 
 /// Residual, in units of round-off of the first, below which one that stops falling will not fall.
 const ROUND_OFF: f64 = 1e4;
+
+/// Iterations after which a solve goes on with K-cycles.
+const PATIENCE: usize = 6;
+
+/// How much longer than the shortest edge of a cell another is that is not yet halved.
+const FLAT: f64 = 1.5;
 
 /// How a solve went.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -52,6 +70,8 @@ struct Level<const D: usize> {
     rows: Rows<D>,
     /// How many of this level's cells make one of the next, along each axis.
     coarsening: [usize; D],
+    /// Edges of its cells \[m\].
+    spacing: [f64; D],
     weights: Faces<Fast, D>,
     inverse_diagonal: Field<Fast, D>,
     right: Field<Fast, D>,
@@ -59,30 +79,44 @@ struct Level<const D: usize> {
     /// The other half of the sweeps' ping-pong; also the residual.
     other: Field<Fast, D>,
     step: Field<Fast, D>,
+    /// The first of a K-cycle's two solutions, and A times it; of the finest level empty.
+    first: Field<Fast, D>,
+    image: Field<Fast, D>,
 }
 
 impl<const D: usize> Level<D> {
-    fn new(cells: [usize; D], parallel: bool) -> Self {
+    fn new(cells: [usize; D], spacing: [f64; D], parallel: bool, finest: bool) -> Self {
         let layout = Layout::new(cells);
-        // An odd or tiny axis stays as it is; the others go on being halved.
-        let coarsening = cells.map(|n| if n % 2 == 0 && n >= 4 { 2 } else { 1 });
+        // An odd or tiny axis stays as it is; the others go on being halved, the shortest cells first.
+        let halves = cells.map(|n| n % 2 == 0 && n >= 4);
+        let short = (0..D).filter(|&a| halves[a]).map(|a| spacing[a]).fold(f64::INFINITY, f64::min);
+        let coarsening =
+            std::array::from_fn(|a| if halves[a] && spacing[a] < FLAT * short { 2 } else { 1 });
+        let kept = if finest { Layout::new([1; D]) } else { layout };
         let zeros = || Field::zeros(layout);
         Self {
             rows: Rows::new(layout, parallel),
             coarsening,
+            spacing,
             weights: Field::zero_faces(layout),
             inverse_diagonal: zeros(),
             right: zeros(),
             solution: zeros(),
             other: zeros(),
             step: zeros(),
+            first: Field::zeros(kept),
+            image: Field::zeros(kept),
         }
     }
 
-    fn coarser_cells(&self) -> Option<[usize; D]> {
+    /// The next level, if there is one.
+    fn coarser(&self, parallel: bool) -> Option<Self> {
         let cells = self.rows.layout().cells;
         let coarse = std::array::from_fn(|axis| cells[axis] / self.coarsening[axis]);
-        (coarse != cells).then_some(coarse)
+        let spacing = std::array::from_fn(|axis| self.spacing[axis] * self.coarsening[axis] as f64);
+        // Coarse grids are too small to share out.
+        let parallel = parallel && coarse.iter().product::<usize>() > 16_384;
+        (coarse != cells).then(|| Self::new(coarse, spacing, parallel, false))
     }
 
     fn set_diagonal(&mut self) {
@@ -105,9 +139,16 @@ impl<const D: usize> Level<D> {
         std::mem::swap(solution, other);
     }
 
-    /// Chebyshev smoothing of `degree` on the interval; `first` says that the solution is zero and
-    /// the first sweep already done.
-    fn smooth(&mut self, interval: [f64; 2], degree: usize, first_done: bool) {
+    /// The first sweep, from a zero solution.
+    fn start(&mut self, scale: Fast) {
+        let Self { rows, right, step, solution, inverse_diagonal, .. } = self;
+        rows.each([step, solution], |o, [step, solution]| {
+            first_row(step, solution, right.row(o), inverse_diagonal.row(o), scale);
+        });
+    }
+
+    /// Smoothing; `first_done` says that the solution was zero and the first sweep is done.
+    fn smooth(&mut self, (interval, degree): Smoothing, first_done: bool) {
         let mut coefficients = Chebyshev::new(interval);
         for n in 0..degree {
             let (keep, scale) = coefficients.next();
@@ -330,10 +371,9 @@ impl<R: Real, const D: usize> Poisson<R, D> {
     pub fn new(grid: &Grid<D>, parallel: bool) -> Self {
         let layout = Layout::from(grid);
         let zeros = || Field::zeros(layout);
-        let mut levels = vec![Level::new(grid.cells, parallel)];
-        while let Some(cells) = levels[levels.len() - 1].coarser_cells() {
-            // Coarse grids are too small to share out.
-            levels.push(Level::new(cells, parallel && cells.iter().product::<usize>() > 16_384));
+        let mut levels = vec![Level::new(grid.cells, grid.spacing, parallel, true)];
+        while let Some(coarser) = levels[levels.len() - 1].coarser(parallel) {
+            levels.push(coarser);
         }
         Self {
             rows: Rows::new(layout, parallel),
@@ -409,7 +449,7 @@ impl<R: Real, const D: usize> Poisson<R, D> {
             if worst <= tolerance || (stalled >= 8 && worst < round_off) || !worst.is_finite() {
                 return Solve { iterations: iteration, residual: worst };
             }
-            self.precondition();
+            self.precondition(iteration >= PATIENCE);
             let Self { levels, residual, direction, image, weights, .. } = self;
             let z = &levels[0].solution;
             let (zr, zq) = rows
@@ -458,42 +498,108 @@ impl<R: Real, const D: usize> Poisson<R, D> {
         Solve { iterations: most, residual: worst }
     }
 
-    /// One V-cycle on the residual; the result is the finest level's solution.
-    fn precondition(&mut self) {
-        let (_, first) = Chebyshev::new(SMOOTHED).next();
-        let last = self.levels.len() - 1;
-        for n in 0..=last {
-            let (finer, here) = self.levels.split_at_mut(n);
-            let level = &mut here[0];
-            let scale = if n == last { Chebyshev::new(COARSEST.0).next().1 } else { first } as Fast;
-            let Level { rows, right, step, solution, inverse_diagonal, .. } = level;
-            let finest = &self.residual;
-            match finer.last() {
-                None => rows.each([right, step, solution], |o, [right, step, solution]| {
-                    let inverse = inverse_diagonal.row(o);
-                    start_row(right, step, solution, finest.row(o), inverse, scale);
-                }),
-                Some(finer) => {
-                    restrict(finer, right);
-                    let right = &*right;
-                    // The residual is its own right-hand side here; copying it once more into
-                    // `other` would only cost.
-                    rows.each([step, solution], |o, [step, solution]| {
-                        first_row(step, solution, right.row(o), inverse_diagonal.row(o), scale);
-                    });
-                }
-            }
-            if n == last {
-                level.smooth(COARSEST.0, COARSEST.1, true);
-            } else {
-                level.smooth(SMOOTHED, 2, true);
-                level.set_residual();
-            }
+    /// One cycle on the residual; the result is the finest level's solution.
+    fn precondition(&mut self, twice: bool) {
+        let Self { levels, residual, .. } = self;
+        let scale = first_sweep(levels, twice);
+        let Level { rows, right, step, solution, inverse_diagonal, .. } = &mut levels[0];
+        rows.each([right, step, solution], |o, [right, step, solution]| {
+            let inverse = inverse_diagonal.row(o);
+            start_row(right, step, solution, residual.row(o), inverse, scale);
+        });
+        cycle(levels, twice);
+    }
+}
+
+/// How the finest of `levels` is smoothed.
+fn smoothing<const D: usize>(levels: &[Level<D>], twice: bool) -> Smoothing {
+    match (levels.len(), twice) {
+        (1, _) => COARSEST,
+        (_, false) => V_CYCLE,
+        (_, true) => K_CYCLE,
+    }
+}
+
+/// The scale of its first sweep.
+fn first_sweep<const D: usize>(levels: &[Level<D>], twice: bool) -> Fast {
+    let (interval, _) = smoothing(levels, twice);
+    Chebyshev::new(interval).next().1 as Fast
+}
+
+/// One cycle on the right-hand side of the finest of `levels`, after its first sweep; `twice`: a
+/// K-cycle instead of a V-cycle.
+fn cycle<const D: usize>(levels: &mut [Level<D>], twice: bool) {
+    let smoothing = smoothing(levels, twice);
+    let (fine, coarser) = levels.split_first_mut().expect("a level");
+    let Some(coarse) = coarser.first_mut() else {
+        fine.smooth(smoothing, true);
+        return;
+    };
+    fine.smooth(smoothing, true);
+    fine.set_residual();
+    restrict(fine, &mut coarse.right);
+    correct(coarser, twice);
+    prolong(&coarser[0], fine);
+    fine.smooth(smoothing, false);
+}
+
+/// What the finest of `levels` makes of its right-hand side, from a zero solution: one cycle, or two
+/// steps of conjugate gradients preconditioned by it (Notay & Vassilevski 2008, algorithm 3.1).
+fn correct<const D: usize>(levels: &mut [Level<D>], twice: bool) {
+    let scale = first_sweep(levels, twice);
+    levels[0].start(scale);
+    cycle(levels, twice);
+    if !twice || levels.len() == 1 {
+        return;
+    }
+    let level = &mut levels[0];
+    std::mem::swap(&mut level.solution, &mut level.first);
+    let Level { rows, weights, first, image, right, .. } = level;
+    let bilinear = |x: &Field<Fast, D>, y: &Field<Fast, D>| {
+        rows.fold(&|o| dot(x.row(o), y.row(o)), &|a, b| a + b)
+    };
+    rows.each([&mut *image], |o, [image]| image_row(image, Stencil::at(weights, first, o)));
+    let (curvature, along) = (bilinear(first, image), bilinear(first, right));
+    if curvature <= 0.0 {
+        std::mem::swap(&mut level.solution, &mut level.first);
+        return;
+    }
+    let share = along / curvature;
+    rows.each([right], |o, [right]| subtract_row(right, image.row(o), share as Fast));
+    levels[0].start(scale);
+    cycle(levels, twice);
+
+    let Level { rows, weights, first, image, right, solution, other, .. } = &mut levels[0];
+    let bilinear = |x: &Field<Fast, D>, y: &Field<Fast, D>| {
+        rows.fold(&|o| dot(x.row(o), y.row(o)), &|a, b| a + b)
+    };
+    let (mixed, second_along) = (bilinear(solution, image), bilinear(solution, right));
+    rows.each([&mut *other], |o, [image]| image_row(image, Stencil::at(weights, solution, o)));
+    let second = bilinear(solution, other) - mixed * mixed / curvature;
+    // Of what the first has left nothing, or of no more than round-off.
+    let second_share = if second > 0.0 { second_along / second } else { 0.0 };
+    let first_share = share - mixed * second_share / curvature;
+    rows.each([solution], |o, [solution]| {
+        combine_row(solution, first.row(o), second_share as Fast, first_share as Fast);
+    });
+}
+
+simd! {
+    /// x -= share y.
+    fn subtract_row[](x: &mut [Fast], y: &[Fast], share: Fast) {
+        let y = &y[..x.len()];
+        for (x, y) in x.iter_mut().zip(y) {
+            *x -= share * *y;
         }
-        for n in (0..last).rev() {
-            let (fine, coarse) = self.levels.split_at_mut(n + 1);
-            prolong(&coarse[0], &mut fine[n]);
-            fine[n].smooth(SMOOTHED, 2, false);
+    }
+}
+
+simd! {
+    /// x = own x + share y.
+    fn combine_row[](x: &mut [Fast], y: &[Fast], own: Fast, share: Fast) {
+        let y = &y[..x.len()];
+        for (x, y) in x.iter_mut().zip(y) {
+            *x = own * *x + share * *y;
         }
     }
 }
@@ -700,11 +806,11 @@ mod tests {
 
     #[test]
     fn coarse_faces_are_means_of_the_coincident_fine_faces() {
-        let mut fine = Level::<3>::new([4, 4, 8], false);
+        let mut fine = Level::<3>::new([4, 4, 8], [1.0; 3], false, true);
         for axis in 0..3 {
             fine.weights[axis].set(|i| (1 + i[0] + 10 * i[1] + 100 * i[2]) as Fast);
         }
-        let mut coarse = Level::<3>::new(fine.coarser_cells().unwrap(), false);
+        let mut coarse = fine.coarser(false).unwrap();
         coarsen_weights(&fine, &mut coarse);
         let at = |axis: usize, i: [usize; 3]| {
             let layout = coarse.rows.layout();

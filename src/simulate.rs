@@ -92,9 +92,8 @@ pub struct Cost {
     pub pressure_iterations: u64,
     /// Gas sub-steps in all.
     pub gas_steps: u64,
-    /// Steps limited by growth, solids advection, gas advection, sound, the longest step allowed,
-    /// viscosity and conductivity.
-    pub limited_by: [u64; 6],
+    /// Steps limited by each of [`Limit::ALL`].
+    pub limited_by: [u64; Limit::ALL.len()],
     /// Largest volume fraction that a step left unaccounted for in a cell.
     pub volume_residual: f64,
     /// Change of the solids mass over the run, relative.
@@ -346,6 +345,9 @@ pub fn simulate_from<R: Real, const D: usize>(
     if let Drive::GasFlux(gas_flux) = physics.drive {
         flow = flow.with_gas_flux(gas_flux);
     }
+    if case.run.time_order == 2 {
+        flow = flow.with_second_order();
+    }
     let law = physics.drag.law(gas, powder);
     let sampling = sampling(case, parallel);
     let mut sampler = Sampler::new(grid, law, sampling)?;
@@ -381,7 +383,7 @@ pub fn simulate_from<R: Real, const D: usize>(
             cost.steps += 1;
             cost.pressure_iterations += step.iterations as u64;
             cost.gas_steps += step.gas_steps as u64;
-            cost.limited_by[place(step.limit)] += 1;
+            cost.limited_by[step.limit as usize] += 1;
             cost.volume_residual = cost.volume_residual.max(step.volume_residual);
             keep(Moment::Step, &flow, &signals, cost, sampler.sums());
         }
@@ -408,17 +410,6 @@ pub fn simulate_from<R: Real, const D: usize>(
         cost,
         snapshot: middle_plane(&grid, &fine.solids_fraction),
     })
-}
-
-fn place(limit: Limit) -> usize {
-    match limit {
-        Limit::Growth => 0,
-        Limit::Solids => 1,
-        Limit::Gas => 2,
-        Limit::Sound => 3,
-        Limit::Longest => 4,
-        Limit::Diffusion => 5,
-    }
 }
 
 /// The plane of the first and the last axis, in the middle of the others.

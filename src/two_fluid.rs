@@ -24,6 +24,7 @@
 mod clock;
 mod drive;
 mod exchange;
+mod extrapolate;
 mod failure;
 mod fields;
 mod granular;
@@ -43,11 +44,12 @@ use crate::laws::kinetic_theory::KineticTheory;
 use crate::laws::scales::{Gas, Powder, Scales, homogeneous_slip};
 use crate::poisson::Poisson;
 use crate::real::Real;
-use crate::rows::{Rows, join, threads};
+use crate::rows::{Rows, join, per_axis, threads};
 pub use clock::STAGES;
 use clock::{Clock, Stage};
 use drive::GasFlux;
 use exchange::Inertia;
+use extrapolate::Extrapolation;
 pub use failure::{Place, StepError};
 use granular::{Contact, ContactRow, DragRow};
 pub use imposed::Quantity;
@@ -77,17 +79,19 @@ const MOST_GAS_STEPS: usize = 4;
 /// on the norm that [`TwoFluid::step`] uses.
 const SOUND_COURANT: f64 = 0.9;
 
-/// Solids fraction above the densest packing that no step is to fill a cell beyond.
-const PACKED: f64 = 0.01;
+/// Solids fraction above the densest packing that no step is to fill a cell beyond, and the least room
+/// up to there: what has come this close is left to the contact pressure.
+const PACKED: f64 = 0.006;
+const LEAST_ROOM: f64 = 0.0015;
 
 /// Largest viscosity and conductivity per mass, times dt and Σ 1/h², at which an explicit step is
 /// stable and loses kinetic energy. Limits the step, and in nearly empty cells, whose mean free path
 /// would stop every step, the diffusivities themselves.
 const DIFFUSION: f64 = 0.36;
 
-/// That of a step: a wave on a uniform bed is what is left of drag, inertia and viscous stress that
-/// all but cancel, so that it grows by 1.5 % too little if a step is as long as is stable, by 0.8 %
-/// with these. Clustered beds have other limits.
+/// That of a step by the diffusivities of the uniform state: a wave on a uniform bed is what is left
+/// of drag, inertia and viscous stress that all but cancel, so that it grows by 1.5 % too little if a
+/// step is as long as is stable, by 0.8 % with these. Clustered beds have other limits.
 const SMOOTH: f64 = 0.2;
 
 /// Share of the mean solids fraction below which a cell is nearly empty.
@@ -117,8 +121,6 @@ struct Medium<R> {
     drag: Box<dyn DragRow<R>>,
     solids_density: R,
     gas_density: R,
-    /// φ_max + [`PACKED`].
-    packed: R,
 }
 
 impl<R: Real> Medium<R> {
@@ -129,7 +131,6 @@ impl<R: Real> Medium<R> {
             contact: contact_rows(setup),
             drag: drag_rows(setup),
             solids_density: R::of(powder.density),
-            packed: R::of(powder.max_packing + PACKED),
             gas_density: R::of(gas.density),
         }
     }
@@ -178,6 +179,21 @@ pub enum Limit {
     Longest,
     /// Viscosity or conductivity of the solids, or viscosity of the gas.
     Diffusion,
+    /// The room left in cells that the solids fill.
+    Packing,
+}
+
+impl Limit {
+    /// All, in the order of their numbers (`limit as usize`).
+    pub const ALL: [Self; 7] = [
+        Self::Growth,
+        Self::Solids,
+        Self::Gas,
+        Self::Sound,
+        Self::Longest,
+        Self::Diffusion,
+        Self::Packing,
+    ];
 }
 
 /// How a step went.
@@ -226,6 +242,8 @@ pub struct TwoFluid<R, const D: usize> {
     time: f64,
     steps: u64,
     next_dt: (f64, Limit),
+    /// The longest step at which waves of the uniform state grow as they should \[s\].
+    smooth_step: f64,
     /// Largest Σ |u_a|/h_a of the gas in a cell \[1/s\].
     gas_speed: f64,
     /// What the parts of the steps cost, if [`TwoFluid::with_clock`] asked.
@@ -236,6 +254,10 @@ pub struct TwoFluid<R, const D: usize> {
     gas_flux: Option<GasFlux>,
     /// What [`TwoFluid::set_sources`] set.
     sources: Option<Sources<R, D>>,
+    /// What [`TwoFluid::set_half_sources`] set.
+    half_sources: [Option<Sources<R, D>>; 2],
+    /// What [`TwoFluid::with_second_order`] needs.
+    extrapolation: Option<Box<Extrapolation<R, D>>>,
 
     phi: Field<R, D>,
     theta: Field<R, D>,
@@ -320,6 +342,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
 
         let scales = setup.scales();
         let time_scale = scales.time();
+        let diffusivity = uniform_diffusivity(&setup, g0, temperature, slip);
         Self {
             grid,
             rows: Rows::new(layout, setup.parallel),
@@ -334,11 +357,14 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             time: 0.0,
             steps: 0,
             next_dt: first_step(&grid, &setup, time_scale),
+            smooth_step: SMOOTH / (diffusivity * inverse_square(&grid)),
             gas_speed: slip / grid.spacing[D - 1],
             clock: None,
             tolerance: TOLERANCE,
             gas_flux: None,
             sources: None,
+            half_sources: [None, None],
+            extrapolation: None,
             phi,
             theta,
             pressure: zeros(),
@@ -387,13 +413,32 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
     pub fn step(&mut self, until: f64) -> Result<StepReport, StepError> {
         assert!(until > self.time, "a step from {} s to {until} s", self.time);
         Clock::start(&mut self.clock);
-        let rows = self.rows;
         let (longest, limit) = self.next_dt;
         let remaining = until - self.time;
         let left = (remaining / longest - 1e-9).ceil().max(1.0);
         let dt = if left.is_finite() { remaining / left } else { longest };
+        let (report, fastest) = self.advance(dt, limit)?;
+        // The last step ends there to the bit, whatever the sum of the steps rounds to.
+        self.time = if left == 1.0 { until } else { self.time + dt };
+        self.steps += 1;
+        let rates = self.find_speeds();
+        self.next_dt = self.choose_step(longest, rates, fastest);
+        if self.next_dt.0 < SHORTEST_STEP * self.time_scale() {
+            return Err(self.collapsed());
+        }
+        Clock::lap(&mut self.clock, Stage::Correction);
+        Ok(report)
+    }
+
+    /// The algorithm of the module, once; leaves what limits the next step to be found.
+    fn advance_once(
+        &mut self,
+        dt: f64,
+        limit: Limit,
+    ) -> Result<(StepReport, Fastest<f64>), StepError> {
+        let rows = self.rows;
         let inverse_spacing = self.grid.spacing.map(|h| R::of(1.0 / h));
-        let inverse_square: f64 = self.grid.spacing.iter().map(|h| 1.0 / (h * h)).sum();
+        let inverse_square = inverse_square(&self.grid);
         let gas_courant = dt * self.gas_speed;
         let gas_steps = if self.setup.terms.gas_inertia {
             ((gas_courant / COURANT).ceil() as usize).clamp(1, MOST_GAS_STEPS)
@@ -467,9 +512,6 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
 
         self.keep_gas_flux(dt);
 
-        // The last step ends there to the bit, whatever the sum of the steps rounds to.
-        self.time = if left == 1.0 { until } else { self.time + dt };
-        self.steps += 1;
         let report = StepReport {
             dt,
             limit,
@@ -477,40 +519,35 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             iterations: solve.iterations,
             volume_residual: solve.residual * dt,
         };
-        let (sound, diffusivity) = (fastest.sound_squared.f64(), fastest.diffusivity.f64());
-        let finite = report.volume_residual.is_finite() && sound.is_finite();
-        if !(finite && diffusivity.is_finite() && self.is_finite()) {
+        let fastest = fastest.f64();
+        if !(report.volume_residual.is_finite() && fastest.is_finite() && self.is_finite()) {
             return Err(self.not_finite(&report));
         }
         // Round-off stops single precision above the tolerance; that much is no failure.
         if report.volume_residual > 100.0 * TOLERANCE {
             return Err(self.not_converged(&report));
         }
-        let solids_speed = self.find_speeds();
-        self.next_dt = self.choose_step(longest, solids_speed, sound, diffusivity, inverse_square);
-        if self.next_dt.0 < SHORTEST_STEP * self.time_scale() {
-            return Err(self.collapsed());
-        }
         Clock::lap(&mut self.clock, Stage::Correction);
-        Ok(report)
+        Ok((report, fastest))
     }
 
     /// The longest next time step after one that might have been `longest`, and what limits it.
     fn choose_step(
         &self,
         longest: f64,
-        solids_speed: f64,
-        sound_squared: f64,
-        diffusivity: f64,
-        inverse_square: f64,
+        [solids_speed, filling]: [f64; 2],
+        Fastest { sound_squared, diffusivity }: Fastest<f64>,
     ) -> (f64, Limit) {
         let tiny = 1e-300;
+        let inverse_square = inverse_square(&self.grid);
         let diffusivity = diffusivity.max(gas_diffusivity(&self.setup));
         [
             (COURANT / (solids_speed + tiny), Limit::Solids),
             (MOST_GAS_STEPS as f64 * COURANT / (self.gas_speed + tiny), Limit::Gas),
             (SOUND_COURANT / (sound_squared * inverse_square + tiny).sqrt(), Limit::Sound),
-            (SMOOTH / (diffusivity * inverse_square + tiny), Limit::Diffusion),
+            (DIFFUSION / (diffusivity * inverse_square + tiny), Limit::Diffusion),
+            (self.smooth_step, Limit::Diffusion),
+            (1.0 / (filling + tiny), Limit::Packing),
             (LONGEST_STEP * self.time_scale(), Limit::Longest),
         ]
         .into_iter()
@@ -521,20 +558,23 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
     }
 
     /// Leaves how fast the gas carries momentum across a cell, 0 if it carries none; returns how fast
-    /// the solids do \[1/s\].
-    fn find_speeds(&mut self) -> f64 {
-        let rows = self.rows;
+    /// the solids do, and how fast they fill what room is left in a cell \[1/s\].
+    fn find_speeds(&mut self) -> [f64; 2] {
+        let (rows, phi) = (self.rows, &self.phi);
         let inverse_spacing = self.grid.spacing.map(|h| R::of(1.0 / h));
         let thin = R::of(THIN * self.setup.solids_fraction);
-        let [solids, gas] = rows.fold(
+        let room = [self.setup.powder.max_packing + PACKED, LEAST_ROOM].map(R::of);
+        let [solids, gas, filling] = rows.fold(
             &|row| {
                 let (us, ug) = (both_faces(&self.solids, row), both_faces(&self.gas, row));
-                exchange::courant_row(us, ug, self.phi.row(row), thin, inverse_spacing)
+                let phi: [[&[R]; 3]; D] =
+                    per_axis!(D, |a| [-1, 0, 1].map(|n| phi.row(row.near(a, n))));
+                exchange::rates_row(us, ug, phi, thin, room, inverse_spacing)
             },
-            &|a: [R; 2], b: [R; 2]| [a[0].max(b[0]), a[1].max(b[1])],
+            &|a: [R; 3], b: [R; 3]| std::array::from_fn(|n| a[n].max(b[n])),
         );
         self.gas_speed = if self.setup.terms.gas_inertia { gas.f64() } else { 0.0 };
-        solids.f64()
+        [solids.f64(), filling.f64()]
     }
 
     /// u_t/g \[s\].
@@ -655,8 +695,7 @@ fn gas_diffusivity(setup: &Setup) -> f64 {
 
 /// The first time step, of [`FIRST_STEP`] or what the viscosity of the gas allows.
 fn first_step<const D: usize>(grid: &Grid<D>, setup: &Setup, time_scale: f64) -> (f64, Limit) {
-    let inverse_square: f64 = grid.spacing.iter().map(|h| 1.0 / (h * h)).sum();
-    let most = DIFFUSION / (gas_diffusivity(setup) * inverse_square);
+    let most = DIFFUSION / (gas_diffusivity(setup) * inverse_square(grid));
     let first = FIRST_STEP * time_scale;
     if most < first { (most, Limit::Diffusion) } else { (first, Limit::Growth) }
 }
@@ -667,12 +706,29 @@ fn uniform_slip(setup: &Setup) -> f64 {
     homogeneous_slip(&setup.drag.law(gas, powder), powder, gas, *gravity, *solids_fraction)
 }
 
+/// β/φ of the uniform state, at which drag carries the weight \[kg/m³/s\].
+fn uniform_drag(setup: &Setup, slip: f64) -> f64 {
+    let Setup { powder, gas, gravity, solids_fraction, .. } = setup;
+    (1.0 - solids_fraction) * (powder.density - gas.density) * gravity / slip
+}
+
 /// Granular temperature at which production by `slip` balances dissipation \[m²/s²\].
 fn uniform_temperature(setup: &Setup, g0: f64, slip: f64) -> f64 {
     let theory = KineticTheory::<f64>::new(&setup.gas, &setup.powder);
+    theory.steady_temperature(setup.solids_fraction, g0, uniform_drag(setup, slip), slip)
+}
+
+/// Largest viscosity or conductivity per mass of the solids in the uniform state \[m²/s\].
+fn uniform_diffusivity(setup: &Setup, g0: f64, temperature: f64, slip: f64) -> f64 {
+    let theory = KineticTheory::<f64>::new(&setup.gas, &setup.powder);
     let phi = setup.solids_fraction;
-    let drag = (1.0 - phi) * (setup.powder.density - setup.gas.density) * setup.gravity / slip;
-    theory.steady_temperature(phi, g0, drag, slip)
+    let transport = theory.transport(phi, g0, temperature, uniform_drag(setup, slip));
+    transport.most_diffusive() / (setup.powder.density * phi)
+}
+
+/// Σ 1/h² \[1/m²\].
+fn inverse_square<const D: usize>(grid: &Grid<D>) -> f64 {
+    grid.spacing.iter().map(|h| 1.0 / (h * h)).sum()
 }
 
 #[cfg(test)]

@@ -74,6 +74,8 @@ struct Variant {
     tolerance: f64,
     /// Longest step, as a share of the one that the base variant took on average.
     step: Option<f64>,
+    /// Order of a step in time.
+    time_order: u64,
     physics: Physics,
     seeds: u64,
 }
@@ -200,6 +202,7 @@ fn variants(physics: &Physics, cells: [usize; 2], quick: bool) -> Vec<Variant> {
         precision: Precision::Double,
         tolerance: 1e-3,
         step: None,
+        time_order: 1,
         physics: physics.clone(),
         seeds,
     };
@@ -222,6 +225,12 @@ fn variants(physics: &Physics, cells: [usize; 2], quick: bool) -> Vec<Variant> {
         let step = Some(step);
         variants.push(Variant { group: Group::Step, name: name.into(), step, ..base.clone() });
     }
+    variants.push(Variant {
+        group: Group::Step,
+        name: "second order in time".into(),
+        time_order: 2,
+        ..base.clone()
+    });
     let mut vary = |name: &str, change: &dyn Fn(&mut Physics)| {
         let mut variant = Variant { group: Group::Physics, name: name.into(), ..base.clone() };
         change(&mut variant.physics);
@@ -350,6 +359,9 @@ fn simulate<R: Real>(case: &Case, variant: &Variant, longest: f64) -> Result<Run
     let grid = Grid::new([case.domain.size[0], case.domain.size[1]], variant.cells);
     let mut flow = TwoFluid::<R, 2>::new(grid, setup(case, SOLIDS_FRACTION, false))
         .with_tolerance(variant.tolerance);
+    if variant.time_order == 2 {
+        flow = flow.with_second_order();
+    }
     let law = case.physics.drag.law(&case.gas, &case.powder);
     let interval = case.run.sample_interval;
     let mut sampler = Sampler::new(grid, law, sampling(case, false))?;

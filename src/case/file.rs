@@ -55,7 +55,7 @@ pub(super) const SECTIONS: [(&str, &[&str]); 7] = [
             "solids_fraction_variance_edges",
         ],
     ),
-    ("run", &["duration", "sample_interval", "seed", "perturbation", "precision"]),
+    ("run", &["duration", "sample_interval", "seed", "perturbation", "precision", "time_order"]),
     ("output", &["fields", "fields_interval"]),
 ];
 
@@ -384,6 +384,7 @@ pub(super) struct RunFile {
     pub seed: Option<Typed<u64>>,
     pub perturbation: Option<Typed<f64>>,
     pub precision: Option<Typed<Precision>>,
+    pub time_order: Option<Typed<u64>>,
 }
 
 #[derive(Debug)]
@@ -502,6 +503,7 @@ pub(super) fn read(text: &str, problems: &mut Problems<'_>) -> Option<CaseFile> 
             seed: section.optional("seed", whole_number),
             perturbation: section.optional("perturbation", number),
             precision: section.optional("precision", choice),
+            time_order: section.optional("time_order", whole_number),
         }
     };
     let output = {

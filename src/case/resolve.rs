@@ -708,12 +708,20 @@ fn resolve_run(
         (None, Some(interval), Some(longest)) => Some(interval.min(longest)),
         (_, interval, _) => interval,
     };
+    let time_order = match &file.time_order {
+        Some(typed) if !(1..=2).contains(&typed.value) => {
+            problems.refuse(typed, "expected 1 or 2");
+            None
+        }
+        typed => Some(typed.as_ref().map_or(1, |typed| typed.value)),
+    };
     Some(RunCase {
         duration: duration?,
         sample_interval: sample_interval?,
         seed: file.seed.as_ref().map_or(1, |typed| typed.value),
         perturbation: perturbation?,
         precision: file.precision.as_ref().map_or(Precision::Double, |typed| typed.value),
+        time_order: time_order?,
     })
 }
 

@@ -170,6 +170,20 @@ pub struct Transport<R> {
     pub conductivity: R,
 }
 
+impl<R: Real> Transport<R> {
+    /// What limits an explicit step of the stress: μ_s or 4 η μ_b, which is the larger \[Pa·s\].
+    #[inline(always)]
+    pub fn most_viscous(&self) -> R {
+        self.viscosity.max(R::of(4.0) * self.bulk_viscosity)
+    }
+
+    /// What limits one of stress and heat flux: that, or λ if it is larger \[Pa·s\].
+    #[inline(always)]
+    pub fn most_diffusive(&self) -> R {
+        self.most_viscous().max(self.conductivity)
+    }
+}
+
 impl<R: Real> KineticTheory<R> {
     /// The theory for `powder` in `gas`.
     pub fn new(gas: &Gas, powder: &Powder) -> Self {

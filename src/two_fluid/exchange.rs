@@ -216,20 +216,25 @@ simd! {
 }
 
 simd! {
-    /// Largest Σ_a |u_a| / h_a of the cells of a row, each |u_a| the larger of its two faces, of the
-    /// solids where their fraction is above `thin`, and of the gas \[1/s\].
-    pub(super) fn courant_row[R: Real, const D: usize](
+    /// Largest rates of the cells of a row \[1/s\]: Σ_a |u_a| / h_a, each |u_a| the larger of its two
+    /// faces, of the solids where their fraction is above `thin`, and of the gas; and the most of -∇·(φ u_s),
+    /// what fills a cell, over the room that is left in it: what it lacks to the fraction `packed`, at least
+    /// `least`. `phi` is below, here and above along each axis.
+    pub(super) fn rates_row[R: Real, const D: usize](
         solids: [[&[R]; 2]; D],
         gas: [[&[R]; 2]; D],
-        phi: &[R],
+        phi: [[&[R]; 3]; D],
         thin: R,
+        packed: [R; 2],
         inverse_spacing: [R; D],
-    ) -> [R; 2] {
+    ) -> [R; 3] {
         const LANES: usize = 16;
-        let n = phi.len();
-        let (solids, gas) = (by_axis(solids, n), by_axis(gas, n));
-        let phi = &phi[..n];
-        let mut largest = [[R::ZERO; LANES]; 2];
+        let n = phi[0][1].len();
+        let (solids, gas, phi) = (by_axis(solids, n), by_axis(gas, n), by_axis(phi, n));
+        let here = phi[0][1];
+        let [packed, least] = packed;
+        let half = R::of(0.5);
+        let mut largest = [[R::ZERO; LANES]; 3];
         macro_rules! rate {
             ($u:ident, $i:ident) => {
                 sum_axes!(D, $u, |[lower, upper], a| {
@@ -237,21 +242,37 @@ simd! {
                 })
             };
         }
+        macro_rules! see {
+            ($lane:expr, $i:ident) => {
+                let fast = R::select(here[$i] > thin, rate!(solids, $i), R::ZERO);
+                // What limited slopes may make of what flows in; what flows out is a mean.
+                let filling = sum_axes!(D, solids, |[lower, upper], a| {
+                    let [below, here, above] = phi[a];
+                    let (below, here, above) = (below[$i], here[$i], above[$i]);
+                    let (up, down) = (lower[$i].max(R::ZERO), -upper[$i].min(R::ZERO));
+                    let (from, to) = (lower[$i].min(R::ZERO), -upper[$i].max(R::ZERO));
+                    inverse_spacing[a]
+                        * (up * below.max(here)
+                            + down * above.max(here)
+                            + half * (from * (below + here) + to * (here + above)))
+                });
+                let room = (packed - here[$i]).max(least);
+                largest[0][$lane] = largest[0][$lane].max(fast);
+                largest[1][$lane] = largest[1][$lane].max(rate!(gas, $i));
+                largest[2][$lane] = largest[2][$lane].max(filling / room);
+            };
+        }
         let whole = n - n % LANES;
         let mut at = 0;
         while at < whole {
             for lane in 0..LANES {
                 let i = at + lane;
-                let fast = R::select(phi[i] > thin, rate!(solids, i), R::ZERO);
-                largest[0][lane] = largest[0][lane].max(fast);
-                largest[1][lane] = largest[1][lane].max(rate!(gas, i));
+                see!(lane, i);
             }
             at += LANES;
         }
         for i in whole..n {
-            let fast = R::select(phi[i] > thin, rate!(solids, i), R::ZERO);
-            largest[0][0] = largest[0][0].max(fast);
-            largest[1][0] = largest[1][0].max(rate!(gas, i));
+            see!(0, i);
         }
         largest.map(|lanes| lanes.into_iter().fold(R::ZERO, R::max))
     }

@@ -33,6 +33,7 @@ impl fmt::Display for Limit {
             Limit::Sound => "granular sound",
             Limit::Longest => "the longest step",
             Limit::Diffusion => "viscosity and conductivity",
+            Limit::Packing => "packing",
         })
     }
 }
@@ -106,7 +107,7 @@ pub enum StepError {
 fn remedy(limit: Limit) -> &'static str {
     match limit {
         Limit::Gas => "a wider or taller box keeps gas from jetting through channels",
-        Limit::Sound | Limit::Diffusion => {
+        Limit::Sound | Limit::Diffusion | Limit::Packing => {
             "double precision (run.precision), coarser cells or a smaller run.perturbation may do"
         }
         Limit::Growth | Limit::Solids | Limit::Longest => {
@@ -219,6 +220,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             Limit::Sound | Limit::Diffusion => {
                 (largest(&|row, i| self.theta.row(row)[i].f64()), "m²/s² of granular temperature")
             }
+            Limit::Packing => (largest(&|row, i| self.phi.row(row)[i].f64()), "of solids fraction"),
             Limit::Growth | Limit::Solids | Limit::Longest => {
                 (largest(&|row, i| speed(&self.solids, row, i)), "m/s of the solids")
             }

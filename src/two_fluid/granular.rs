@@ -1,6 +1,6 @@
 //! Closures of the solids' stress at cell centres, and the balance of granular energy.
 
-use super::{GHOST, Medium, PACKED};
+use super::{GHOST, Medium};
 use crate::laws::drag::DragLaw;
 use crate::laws::friction::Friction;
 use crate::laws::kinetic_theory::{
@@ -341,10 +341,10 @@ simd! {
             g0[i] = contact[0];
             viscosity[i] = transport.viscosity.min(bound);
             bulk[i] = transport.bulk_viscosity.min(R::of(0.25) * bound);
-            let mut most = transport.viscosity.max(R::of(4.0) * transport.bulk_viscosity);
+            let mut most = transport.most_viscous();
             if CONDUCTS {
                 conductivity[i] = transport.conductivity.min(bound);
-                most = most.max(transport.conductivity);
+                most = transport.most_diffusive();
             }
             diffusivity[i] = R::select(phi[i] > nearly_empty, most / mass, R::ZERO);
         }
@@ -418,8 +418,6 @@ pub(super) struct Balanced<'a, R> {
     pub(super) divergence: &'a [R],
     pub(super) viscosity: &'a [R],
     pub(super) solids_density: R,
-    /// Solids fraction that no step is to fill a cell beyond \[-\].
-    pub(super) packed: R,
     /// 1/Σ 1/h² \[m²\].
     pub(super) cell_squared: R,
     pub(super) dt: R,
@@ -484,12 +482,7 @@ simd! {
             let slope = radial.slope(phi[i], g0[i]);
             // Dissipation is implicit, so of the heat of compression a step keeps only this.
             let adiabatic = R::ONE / (R::ONE + dt * (collisional * speed + two_thirds * damping));
-            let sound_squared = theory.sound_speed_squared(phi[i], g0[i], slope, warm, adiabatic)
-                + stiffness;
-            // A step of this sound does not fill the cell: it is hit faster than its own sound.
-            let room = (cells.packed - phi[i]).max(R::of(0.1 * PACKED));
-            let filling = side * phi[i] * (-divergence[i]).max(R::ZERO) / room;
-            sound[i] = sound_squared.max(R::of(3.0) * filling * filling);
+            sound[i] = theory.sound_speed_squared(phi[i], g0[i], slope, warm, adiabatic) + stiffness;
         }
     }
 }

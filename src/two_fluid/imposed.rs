@@ -41,6 +41,26 @@ pub(super) struct Sources<R, const D: usize> {
 }
 
 impl<R: Real, const D: usize> Sources<R, D> {
+    fn zeros(layout: Layout<D>) -> Self {
+        Self {
+            velocities: std::array::from_fn(|_| Field::zero_faces(layout)),
+            temperature: Field::zeros(layout),
+        }
+    }
+
+    fn set(
+        &mut self,
+        mut velocities: impl FnMut(usize, [usize; D]) -> [f64; 2],
+        mut temperature: impl FnMut([usize; D]) -> f64,
+    ) {
+        for axis in 0..D {
+            for phase in 0..2 {
+                self.velocities[phase][axis].set(|index| R::of(velocities(axis, index)[phase]));
+            }
+        }
+        self.temperature.set(|index| R::of(temperature(index)));
+    }
+
     /// T += dt rate in a row.
     pub(super) fn heat(&self, theta: &mut [R], row: Row<D>, dt: R) {
         add_row(theta, self.temperature.row(row), dt);
@@ -103,21 +123,24 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
     /// by axis (of the faces) and cell: (u_s, u_g) \[m/s²\], T \[m²/s³\].
     pub fn set_sources(
         &mut self,
-        mut velocities: impl FnMut(usize, [usize; D]) -> [f64; 2],
-        mut temperature: impl FnMut([usize; D]) -> f64,
+        velocities: impl FnMut(usize, [usize; D]) -> [f64; 2],
+        temperature: impl FnMut([usize; D]) -> f64,
     ) {
         let layout = Layout::from(&self.grid);
-        let zeros = || Field::zeros(layout);
-        let sources = self.sources.get_or_insert_with(|| Sources {
-            velocities: std::array::from_fn(|_| Field::zero_faces(layout)),
-            temperature: zeros(),
-        });
-        for axis in 0..D {
-            for phase in 0..2 {
-                sources.velocities[phase][axis].set(|index| R::of(velocities(axis, index)[phase]));
-            }
-        }
-        sources.temperature.set(|index| R::of(temperature(index)));
+        self.sources.get_or_insert_with(|| Sources::zeros(layout)).set(velocities, temperature);
+    }
+
+    /// Rates as those of [`TwoFluid::set_sources`], for the first or the second of the two halves that
+    /// a step of second order in time is also made in.
+    pub fn set_half_sources(
+        &mut self,
+        half: usize,
+        velocities: impl FnMut(usize, [usize; D]) -> [f64; 2],
+        temperature: impl FnMut([usize; D]) -> f64,
+    ) {
+        let layout = Layout::from(&self.grid);
+        let sources = self.half_sources[half].get_or_insert_with(|| Sources::zeros(layout));
+        sources.set(velocities, temperature);
     }
 
     /// The next time step that stability allows \[s\], and what limits it.

@@ -15,10 +15,6 @@ use crate::grid::Grid;
 use crate::real::Real;
 use std::io::{self, Read, Write};
 
-/// The limits by their number in a state.
-const LIMITS: [Limit; 6] =
-    [Limit::Growth, Limit::Solids, Limit::Gas, Limit::Sound, Limit::Longest, Limit::Diffusion];
-
 /// A state that cannot be taken.
 #[derive(Debug, thiserror::Error)]
 pub enum StateError {
@@ -135,7 +131,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let steps = u64::from_le_bytes(bytes(from)?);
         let next_dt = f64::from_le_bytes(bytes(from)?);
         let [limit] = bytes(from)?;
-        let limit = *LIMITS.get(usize::from(limit)).ok_or(StateError::Limit(limit))?;
+        let limit = *Limit::ALL.get(usize::from(limit)).ok_or(StateError::Limit(limit))?;
         (self.time, self.steps, self.next_dt) = (time, steps, (next_dt, limit));
         let scalars = [&mut self.phi, &mut self.theta, &mut self.pressure, &mut self.increment];
         for field in scalars.into_iter().chain(&mut self.solids).chain(&mut self.gas) {
@@ -254,7 +250,7 @@ mod tests {
     #[test]
     fn every_limit_comes_back() {
         let mut flow = flow::<f64, 2>([8, 8]);
-        for limit in LIMITS {
+        for limit in Limit::ALL {
             flow.next_dt = (1.5, limit);
             let kept = state(&flow);
             flow.next_dt = (0.0, Limit::Growth);
@@ -280,8 +276,8 @@ mod tests {
             assert!(matches!(refused, Err(StateError::Read(_))), "{len}: {refused:?}");
         }
         let mut unknown = kept;
-        unknown[2 + 16 + 24] = 6;
+        unknown[2 + 16 + 24] = 7;
         let refused = same.restore_state(&mut unknown.as_slice());
-        assert!(matches!(refused, Err(StateError::Limit(6))), "{refused:?}");
+        assert!(matches!(refused, Err(StateError::Limit(7))), "{refused:?}");
     }
 }

@@ -120,6 +120,14 @@ impl<R: Real> Fastest<R> {
             diffusivity: self.diffusivity.max(other.diffusivity),
         }
     }
+
+    pub(super) fn f64(self) -> Fastest<f64> {
+        Fastest { sound_squared: self.sound_squared.f64(), diffusivity: self.diffusivity.f64() }
+    }
+
+    pub(super) fn is_finite(&self) -> bool {
+        self.sound_squared.f64().is_finite() && self.diffusivity.f64().is_finite()
+    }
 }
 
 /// Makes some neighbouring slabs of a step.
@@ -697,7 +705,6 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                         divergence,
                         viscosity: self.viscosity.row(row),
                         solids_density: density,
-                        packed: medium.packed,
                         cell_squared: R::ONE / h.iter().fold(R::ZERO, |sum, h| sum + *h * *h),
                         dt,
                     };
