@@ -562,10 +562,7 @@ mod tests {
             }
         }
         let solvers = |name: &str| ["openfoam", "mfix", "fluent"].map(|to| format!("{name} {to}"));
-        let mut expected = Vec::new();
-        for name in ["schneiderbauer-pirker-2014"] {
-            expected.extend(solvers(name));
-        }
+        let mut expected = solvers("schneiderbauer-pirker-2014").to_vec();
         expected.extend(
             ["openfoam", "mfix", "fluent", "c", "fortran", "table", "latex"]
                 .map(|target| format!("parmentier-2012 {target}")),

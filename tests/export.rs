@@ -558,3 +558,31 @@ fn settles(name: &str, closure: &Closure, material: &Material, dir: &Path) {
     assert!((fraction[0] - 0.15).abs() < 1e-8, "{name}: {}", fraction[0]);
     assert!((slip[0] / low - 1.0).abs() < 1e-6, "{name}: {} {low}", slip[0]);
 }
+
+#[test]
+fn tables_are_read_by_numpy_and_vtk() {
+    let python = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/venv/bin/python");
+    let python = if python.is_file() { python } else { PathBuf::from("python3") };
+    let mut imports = Command::new(&python);
+    imports.args(["-c", "import numpy, vtk"]).stderr(Stdio::null());
+    if !imports.status().is_ok_and(|status| status.success()) {
+        eprintln!("skipped: no Python with numpy and vtk; `pip install numpy vtk` in target/venv");
+        return;
+    }
+    let closure = Closure::find("sarkar-2016").unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let dir = exported(&closure, Target::Table, dir.path());
+    fs::write(dir.join("read.py"), include_str!("export/read.py")).unwrap();
+    let text = run(&dir, python.to_str().unwrap(), &["read.py", "drag_correction"]);
+    // A point by its markers, and the value there in the three files.
+    let numbers: Vec<f64> = text.split_whitespace().map(|x| x.parse().unwrap()).collect();
+    assert_eq!(numbers.len(), 9, "{text}");
+    let expected = closure.quantities[0].at(&numbers[..3]);
+    assert!(expected > 0.1, "{text}");
+    for found in [numbers[3], numbers[4], numbers[8]] {
+        assert!((found - expected).abs() < 1e-15, "{text}, not {expected}");
+    }
+    for (vtk, marker) in numbers[5..8].iter().zip(&numbers[..3]) {
+        assert!((vtk - marker).abs() < 1e-12, "{text}");
+    }
+}

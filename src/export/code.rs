@@ -423,7 +423,7 @@ mod tests {
         }
         assert_eq!(written("(-a)^2 - a^b^c", &C), "favre_square(-a) - pow(a, pow(b, c))");
         assert_eq!(written("(-a)^2 - a^(b^c)", &Fortran), "(-a)**2 - a**(b**c)");
-        assert_eq!(written("a*-b - -2*c", &Fortran), "a*(-b) - (-(2.0_dp*c))");
+        assert_eq!(written("a*-b - -2*c", &Fortran), "a*(-b) - (-2.0_dp*c)");
         assert_eq!(written("1e-300 + 1e21", &Fortran), "1e-300_dp + 1e21_dp");
         assert_eq!(written("(a + b)^1.5 + a^0.5", &Fortran), "(a + b)*sqrt(a + b) + sqrt(a)");
         assert_eq!(
