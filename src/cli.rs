@@ -22,6 +22,7 @@ Examples:
   favre run --print-case > my-powder.toml   write a commented case file, to be edited
   favre run my-powder.toml                  run it; tables go to favre-out/my-powder
   favre run my-powder.toml --duration '50 u_t/g' --out trial
+  favre export favre-out/my-powder/model.toml --to openfoam
   favre stability my-powder.toml            what grid and box its instability asks for
   favre bench --quick                       how fast this machine is
   favre verify --quick                      whether the simulator solves its equations

@@ -430,6 +430,10 @@ mod tests {
             written("min(a, b, max(c, 1))", &C),
             "favre_min(favre_min(a, b), favre_max(c, 1.0))"
         );
+        let pieces = "1 + piecewise(a < b, c, a >= 2, d, 0)";
+        assert_eq!(written(pieces, &C), "1.0 + (a < b ? c : (a >= 2.0 ? d : 0.0))");
+        let merged = "1.0_dp + merge(c, merge(d, 0.0_dp, a >= 2.0_dp), a < b)";
+        assert_eq!(written(pieces, &Fortran), merged);
     }
 
     #[test]

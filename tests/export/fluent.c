@@ -1,11 +1,11 @@
-/* Reads states of a cell (fraction, volume, slip along three axes, nine gradients) and writes the drag,
- * its factor, the viscosity and the pressure. */
+/* Reads states of a cell (fraction, volume, slip along three axes, nine gradients, particle
+ * diameter) and writes the drag, its factor, the viscosity and the pressure. */
 #include "favre_udf.c"
 #include <stdio.h>
 
 int main(void)
 {
-    double in[14], out[4] = {0, 0, 0, 0};
+    double in[15], out[4] = {0, 0, 0, 0};
     int i;
     while (fread(in, sizeof in, 1, stdin) == 1) {
         Thread gas = {0}, solids = {0}, mixture = {0};
@@ -17,7 +17,7 @@ int main(void)
         solids.fraction = in[0];
         solids.volume = gas.volume = in[1];
         solids.density = DENSITY_S;
-        solids.diameter = DIAMETER;
+        solids.diameter = in[14];
         gas.density = DENSITY_G;
         gas.viscosity = VISCOSITY_G;
         mixture.sub[0] = &gas;

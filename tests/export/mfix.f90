@@ -35,11 +35,10 @@ program mfix
   use physprop
   use visc_s
   use state
-  double precision :: in(14), out(4), slip
+  double precision :: in(15), out(4), slip
   integer :: status
   GRAVITY = GRAVITY_SI
   ro_s = DENSITY_S
-  d_p = DIAMETER
   ro_g = DENSITY_G
   mu_g = VISCOSITY_G
   open(10, file='states.bin', access='stream', form='unformatted', status='old')
@@ -49,6 +48,7 @@ program mfix
     if (status /= 0) exit
     ep_s = in(1)
     VOL = in(2)
+    d_p = in(15)
     slip = sqrt(in(3)**2 + in(4)**2 + in(5)**2)
     gradient = transpose(reshape(in(6:14), [3, 3]))
     out = 0
