@@ -1,8 +1,8 @@
 //! [`Closure`]: any closure, published or fitted, as formulae of markers.
 //!
 //! A closure file is data: constants, formulae in the language of [`Expression`], and for each
-//! quantity its markers with their ranges and test vectors. A model.toml of a fit ([`Model`]) is read
-//! as such too. What the crate ships is in [`BUILT_IN`]; a path to a file stands wherever a name does.
+//! quantity its markers with their ranges and test vectors. That of a fit ([`Model`]) has besides the
+//! errors of its coefficients, in `[fit]`. What the crate ships is in [`BUILT_IN`]; a path to a file stands wherever a name does.
 //!
 //! | marker | in formulae | what it is |
 //! | --- | --- | --- |
@@ -17,9 +17,10 @@
 //! Values are scaled; the unit of a quantity says by what.
 
 use crate::expression::{Expression, Meaning, Program};
-use crate::fit::{Coefficient, ReferenceLength, ValidRange};
+use crate::fit::{Coefficient, Goodness, ReferenceLength, ValidRange};
 use crate::forms::{self, Marker};
-use crate::model::{Definitions, Model, ModelError, Outside, System};
+use crate::model::{Definitions, Model, Outside, System};
+use crate::spline::Spline;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -58,12 +59,37 @@ pub struct ClosureFile {
     /// Named formulae in its formulae.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub formulae: BTreeMap<String, String>,
+    /// Named surfaces in its formulae.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub splines: BTreeMap<String, Spline>,
+    /// Errors of its coefficients, if it was fitted to a run.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fit: Option<FitFile>,
     /// What it predicts.
     #[serde(default)]
     pub quantities: Vec<QuantityFile>,
     /// What is wrong with the publication itself and is left as it is.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub known_flaws: Vec<KnownFlaw>,
+}
+
+/// What a fit knows of its coefficients, which are constants of the file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FitFile {
+    /// Name of the form, see [`forms::FORMS`].
+    pub form: String,
+    /// Its formula, for the reader.
+    pub formula: String,
+    /// Seed of the run; none where there were several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+    /// Covariance of the coefficients, in their order.
+    pub covariance: Vec<Vec<f64>>,
+    /// How well the form follows the bins.
+    pub goodness: Goodness,
+    /// The coefficients with their intervals; each symbol is a constant of this value.
+    pub coefficients: Vec<Coefficient>,
 }
 
 /// Whether all of a publication is there.
@@ -142,8 +168,6 @@ pub struct Closure {
     pub file: ClosureFile,
     /// Its quantities.
     pub quantities: Vec<Quantity>,
-    /// Of a fit: its coefficients with their intervals.
-    pub coefficients: Vec<Coefficient>,
     formulae: BTreeMap<String, Expression>,
 }
 
@@ -187,9 +211,6 @@ pub enum ClosureError {
         /// What the parser says, with line and column.
         source: Box<toml::de::Error>,
     },
-    /// A model.toml of a fit is wrong.
-    #[error(transparent)]
-    Model(#[from] ModelError),
     /// Something in the file makes no sense.
     #[error("{path}: {place}: {why}")]
     Wrong {
@@ -232,6 +253,77 @@ built_in!(
 /// More characters than this in all formulae together are a mistake.
 const LONGEST: usize = 100_000;
 
+impl ClosureFile {
+    /// A fitted model as a closure file.
+    ///
+    /// # Panics
+    /// If its form is not in [`forms::FORMS`].
+    pub fn fitted(model: &Model) -> Self {
+        let form = forms::form(&model.form).expect("a fit is of a known form");
+        let constants = model.coefficients.iter().map(|c| (c.symbol.clone(), c.value)).collect();
+        let test_vectors = model
+            .test_vectors
+            .iter()
+            .map(|v| Vector {
+                at: BTreeMap::from([
+                    (Marker::SolidsFraction, v.solids_fraction),
+                    (Marker::FilterWidth, v.filter_width),
+                ]),
+                expected: v.expected,
+            })
+            .collect();
+        let quantity = QuantityFile {
+            predicts: model.predicts.clone(),
+            unit: model.unit.clone(),
+            formula: form.expression().into(),
+            exponents: BTreeMap::new(),
+            ranges: model.ranges.clone(),
+            test_vectors,
+        };
+        let fit = FitFile {
+            form: model.form.clone(),
+            formula: model.formula.clone(),
+            seed: model.source.seed,
+            covariance: model.covariance.clone(),
+            goodness: model.goodness,
+            coefficients: model.coefficients.clone(),
+        };
+        Self {
+            name: model.name.clone(),
+            title: format!(
+                "fitted by Favre to {} bins, R² = {:.3}",
+                model.goodness.points, model.goodness.r_squared
+            ),
+            status: Status::Full,
+            missing: Vec::new(),
+            reference_length: model.reference_length,
+            outside: model.outside,
+            notes: model.notes.clone(),
+            source: Provenance {
+                reference: format!("run {}", model.source.reference),
+                read_from: format!("fit by favre {}", model.source.version),
+                choices: Vec::new(),
+            },
+            definitions: model.definitions.clone(),
+            system: Some(model.system),
+            constants,
+            formulae: BTreeMap::new(),
+            splines: BTreeMap::new(),
+            fit: Some(fit),
+            quantities: vec![quantity],
+            known_flaws: Vec::new(),
+        }
+    }
+
+    /// The file as TOML, with as many digits as give the same doubles back.
+    ///
+    /// # Errors
+    /// A number that TOML does not have (a seed above 2⁶³ - 1).
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        toml::to_string(self)
+    }
+}
+
 impl Closure {
     /// The closure named `name`, or the one in the file of that path.
     ///
@@ -258,68 +350,14 @@ impl Closure {
         Self::parse(&text, path)
     }
 
-    /// Reads and compiles the text of a closure file or of a fit's model.toml; `path` names it in
-    /// errors. Test vectors are not compared: that is what the check is for.
+    /// Reads and compiles the text of a closure file; `path` names it in errors. Test vectors are not
+    /// compared: that is what the check is for.
     ///
     /// # Errors
     /// [`ClosureError`].
     pub fn parse(text: &str, path: &Path) -> Result<Self, ClosureError> {
         let invalid = |e| ClosureError::Invalid { path: path.into(), source: Box::new(e) };
-        let table: toml::Table = toml::from_str(text).map_err(invalid)?;
-        if table.contains_key("form") {
-            return Self::fitted(&Model::parse(text, path)?, path);
-        }
         Self::compile(toml::from_str(text).map_err(invalid)?, path)
-    }
-
-    /// A fitted model as a closure.
-    fn fitted(model: &Model, path: &Path) -> Result<Self, ClosureError> {
-        let form = forms::form(&model.form).expect("loading refuses unknown forms");
-        let constants = model.coefficients.iter().map(|c| (c.symbol.clone(), c.value)).collect();
-        let test_vectors = model
-            .test_vectors
-            .iter()
-            .map(|v| Vector {
-                at: BTreeMap::from([
-                    (Marker::SolidsFraction, v.solids_fraction),
-                    (Marker::FilterWidth, v.filter_width),
-                ]),
-                expected: v.expected,
-            })
-            .collect();
-        let quantity = QuantityFile {
-            predicts: model.predicts.clone(),
-            unit: model.unit.clone(),
-            formula: form.expression().into(),
-            exponents: BTreeMap::new(),
-            ranges: model.ranges.clone(),
-            test_vectors,
-        };
-        let file = ClosureFile {
-            name: model.name.clone(),
-            title: format!(
-                "fitted by Favre to {} bins, R² = {:.3}",
-                model.goodness.points, model.goodness.r_squared
-            ),
-            status: Status::Full,
-            missing: Vec::new(),
-            reference_length: model.reference_length,
-            outside: model.outside,
-            notes: model.notes.clone(),
-            source: Provenance {
-                reference: format!("run {}", model.source.reference),
-                read_from: format!("fit by favre {}", model.source.version),
-                choices: Vec::new(),
-            },
-            definitions: model.definitions.clone(),
-            system: Some(model.system),
-            constants,
-            formulae: BTreeMap::new(),
-            quantities: vec![quantity],
-            known_flaws: Vec::new(),
-        };
-        let closure = Self::compile(file, path)?;
-        Ok(Self { coefficients: model.coefficients.clone(), ..closure })
     }
 
     fn compile(file: ClosureFile, path: &Path) -> Result<Self, ClosureError> {
@@ -346,11 +384,26 @@ impl Closure {
                 return Err(wrong(&format!("formulae.{name}"), "is a constant too".into()));
             }
         }
+        check_fit(&file).map_err(|why| wrong("fit", why))?;
         let mut formulae = BTreeMap::new();
         for (name, text) in &file.formulae {
             let formula =
                 Expression::parse(text).map_err(|why| wrong(&format!("formulae.{name}"), why))?;
             formulae.insert(name.clone(), formula);
+        }
+        for (name, spline) in &file.splines {
+            let place = format!("splines.{name}");
+            spline.check().map_err(|why| wrong(&place, why))?;
+            for (name, text) in spline.formulae(name) {
+                let taken = Marker::of_symbol(&name).is_some()
+                    || file.constants.contains_key(&name)
+                    || formulae.contains_key(&name);
+                if taken {
+                    return Err(wrong(&place, format!("`{name}` means something else here")));
+                }
+                let formula = Expression::parse(&text).map_err(|why| wrong(&place, why))?;
+                formulae.insert(name, formula);
+            }
         }
         let mut quantities: Vec<Quantity> = Vec::new();
         for quantity in &file.quantities {
@@ -369,7 +422,7 @@ impl Closure {
                 program,
             });
         }
-        Ok(Self { file, quantities, coefficients: Vec::new(), formulae })
+        Ok(Self { file, quantities, formulae })
     }
 
     /// The quantity named `name`, or the first one.
@@ -408,6 +461,29 @@ fn compiled(
         Some(marker) => format!("{why}: it is {marker}, which has no range here"),
         None => why,
     })
+}
+
+/// Whether what the fit says belongs to the constants.
+fn check_fit(file: &ClosureFile) -> Result<(), String> {
+    let Some(fit) = &file.fit else { return Ok(()) };
+    for Coefficient { symbol, value, low_95, high_95, standard_error, .. } in &fit.coefficients {
+        match file.constants.get(symbol) {
+            Some(constant) if constant == value => {}
+            Some(constant) => {
+                return Err(format!("coefficient {symbol} is {value}, the constant {constant}"));
+            }
+            None => return Err(format!("coefficient {symbol} is not among the constants")),
+        }
+        if !(low_95 <= value && value <= high_95 && *standard_error >= 0.0) {
+            return Err(format!("coefficient {symbol}: {value} is not in {low_95} to {high_95}"));
+        }
+    }
+    let count = fit.coefficients.len();
+    let good = |row: &Vec<f64>| row.len() == count && row.iter().all(|c| c.is_finite());
+    match fit.covariance.len() == count && fit.covariance.iter().all(good) {
+        true => Ok(()),
+        false => Err(format!("covariance needs {count} rows of {count} numbers")),
+    }
 }
 
 fn check_ranges(quantity: &QuantityFile) -> Result<(), String> {
@@ -497,6 +573,7 @@ const PIECE: usize = 4096;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::tests::model;
 
     #[test]
     fn what_is_shipped_loads_and_gives_its_test_vectors() {
@@ -527,12 +604,18 @@ mod tests {
         }
     }
 
-    /// Bar 3: the default run's model as a closure is the model.
+    /// The model that a fit found, and its file read again.
     #[test]
     fn a_fitted_model_is_the_same_closure() {
-        let text = BUILT_IN[0].1;
-        let model = Model::parse(text, Path::new("default.toml")).unwrap();
-        let closure = Closure::find("default").unwrap();
+        let model = model();
+        let file = ClosureFile::fitted(&model);
+        let text = file.to_toml().unwrap();
+        let closure = Closure::parse(&text, Path::new("model.toml")).unwrap();
+        assert_eq!(closure.file, file);
+        assert_eq!(closure.file.to_toml().unwrap(), text);
+        for (coefficient, again) in model.coefficients.iter().zip(&file.fit.unwrap().coefficients) {
+            assert_eq!(coefficient.value.to_bits(), again.value.to_bits());
+        }
         for i in 0..=70 {
             for width in [0.0, 0.1, 1.0, 3.0, 8.0, 20.0] {
                 let phi = f64::from(i) * 0.01;
@@ -540,6 +623,28 @@ mod tests {
                 assert!((found - model.evaluate(phi, width)).abs() < 1e-12, "{phi} {width}");
             }
         }
+    }
+
+    #[test]
+    fn a_fit_whose_numbers_do_not_belong_together_is_refused() {
+        let spoil = |change: &dyn Fn(&mut ClosureFile)| {
+            let mut file = ClosureFile::fitted(&model());
+            change(&mut file);
+            let text = file.to_toml().unwrap();
+            Closure::parse(&text, Path::new("m.toml")).unwrap_err().to_string()
+        };
+        let fit = |file: &mut ClosureFile, change: &dyn Fn(&mut FitFile)| {
+            change(file.fit.as_mut().unwrap());
+        };
+        let moved = spoil(&|file| *file.constants.get_mut("H_inf").unwrap() = 0.5);
+        assert!(moved.starts_with("m.toml: fit: coefficient H_inf is "), "{moved}");
+        assert!(moved.ends_with("the constant 0.5"), "{moved}");
+        let other = spoil(&|file| fit(file, &|fit| fit.coefficients[0].symbol = "a".into()));
+        assert_eq!(other, "m.toml: fit: coefficient a is not among the constants");
+        let low = spoil(&|file| fit(file, &|fit| fit.coefficients[0].low_95 = 99.0));
+        assert!(low.contains("is not in 99 to "), "{low}");
+        let short = spoil(&|file| fit(file, &|fit| fit.covariance.truncate(5)));
+        assert!(short.ends_with("covariance needs 6 rows of 6 numbers"), "{short}");
     }
 
     #[test]

@@ -29,6 +29,7 @@ pub mod resolved;
 pub mod series;
 pub mod simulate;
 pub mod spectral;
+pub mod spline;
 pub mod stability;
 pub mod statistics;
 pub mod stored;

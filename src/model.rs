@@ -1,22 +1,15 @@
-//! [`Model`]: model.toml, the closure format, and the closure table evaluated from it.
+//! [`Model`]: a fitted form with all that its user must know, and the closure table made of it.
 //!
-//! A model file says what is predicted, from which markers in which scales, by which form and
-//! coefficients, with which errors, where it is valid and how to tell that it was understood: it
-//! carries test vectors, which loading reproduces or refuses. TOML floats are written with as many
-//! digits as give the same double back.
+//! On disk it is a closure like any other, see `closure`.
 
 use crate::fit::{Coefficient, Fit, Goodness, ReferenceLength, ValidRange, student_quantile};
-use crate::forms::{self, ClosureForm, Marker};
+use crate::forms::{self, Marker};
 use crate::laws::scales::{Gas, Powder, Scales};
 use crate::table::{BinRow, ClosureRow, Origin};
 use serde::{Deserialize, Serialize};
-use std::io::Write;
-use std::path::{Path, PathBuf};
-use thiserror::Error;
 
-/// A fitted closure with everything that its user must know. The fields are the keys of the file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// A fitted closure with everything that its user must know.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Model {
     /// Name of the model.
     pub name: String,
@@ -62,16 +55,14 @@ pub enum Outside {
     Formula,
 }
 
-/// Where a model comes from: a run, or a publication.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// The run that a model comes from.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Source {
-    /// Name of the case, or DOI of the publication.
+    /// Name of the case.
     pub reference: String,
     /// Version of the program that fitted it.
     pub version: String,
-    /// Seed of the run; none for a publication.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Seed of the run.
     pub seed: Option<u64>,
 }
 
@@ -169,8 +160,7 @@ impl Definitions {
 }
 
 /// Markers and the value that any implementation of the model must give there, to 1e-12.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TestVector {
     /// φ [-].
     pub solids_fraction: f64,
@@ -193,87 +183,6 @@ pub struct Estimate {
     /// Upper end of the 95 % interval, cut at the largest value possible.
     pub high_95: f64,
 }
-
-/// A model file that cannot be used, or a model that cannot be written.
-#[derive(Debug, Error)]
-pub enum ModelError {
-    /// The file cannot be read.
-    #[error("{path}: {source}")]
-    Unreadable {
-        /// File.
-        path: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-    },
-    /// Not TOML, an unknown or missing key, or a value of the wrong kind.
-    #[error("{path}: {source}")]
-    Invalid {
-        /// File.
-        path: PathBuf,
-        /// What the parser says, with line, column and the line itself.
-        source: Box<toml::de::Error>,
-    },
-    /// A form that this version does not know.
-    #[error("{path}: form = \"{form}\" is unknown; known: {known}")]
-    UnknownForm {
-        /// File.
-        path: PathBuf,
-        /// The form.
-        form: String,
-        /// The known ones.
-        known: String,
-    },
-    /// Something does not belong to the form.
-    #[error("{path}: {key} is {found}, but the form `{form}` needs {expected}")]
-    Mismatch {
-        /// File.
-        path: PathBuf,
-        /// Key.
-        key: String,
-        /// What stands there.
-        found: String,
-        /// The form.
-        form: &'static str,
-        /// What should stand there.
-        expected: String,
-    },
-    /// A test vector is not reproduced, so that the file was changed by hand or means another
-    /// formula.
-    #[error(
-        "{path}: test vector {index} (solids_fraction {solids_fraction}, filter_width \
-         {filter_width}) expects {expected}, the coefficients give {found}; coefficients and test \
-         vectors do not belong together"
-    )]
-    TestVector {
-        /// File.
-        path: PathBuf,
-        /// Which, counted from 1.
-        index: usize,
-        /// φ.
-        solids_fraction: f64,
-        /// Δ_f/L.
-        filter_width: f64,
-        /// Value in the file.
-        expected: f64,
-        /// Value of the coefficients.
-        found: f64,
-    },
-    /// There are no test vectors.
-    #[error("{path}: test_vectors is empty; a model must carry at least one")]
-    NoTestVectors {
-        /// File.
-        path: PathBuf,
-    },
-    /// The model cannot be expressed in TOML.
-    #[error("the model cannot be written as TOML: {0}")]
-    Inexpressible(#[from] toml::ser::Error),
-    /// Writing fails.
-    #[error("the model cannot be written: {0}")]
-    Unwritable(#[from] std::io::Error),
-}
-
-/// Largest deviation with which a test vector counts as reproduced: a few hundred roundings.
-const REPRODUCED: f64 = 1e-12;
 
 impl Model {
     /// The model that `fit` found, with its test vectors.
@@ -320,119 +229,8 @@ impl Model {
         model
     }
 
-    /// Reads and checks a model file.
-    ///
-    /// # Errors
-    /// [`ModelError`] when the file cannot be read, or as for [`parse`](Self::parse).
-    pub fn load(path: &Path) -> Result<Self, ModelError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| ModelError::Unreadable { path: path.into(), source })?;
-        Self::parse(&text, path)
-    }
-
-    /// Reads and checks the text of a model file; `path` names it in errors.
-    ///
-    /// # Errors
-    /// [`ModelError`] for text that is not such a TOML document (unknown keys included), an unknown
-    /// form, coefficients, covariance or ranges that do not fit the form, and test vectors that are
-    /// absent or not reproduced to 1e-12.
-    pub fn parse(text: &str, path: &Path) -> Result<Self, ModelError> {
-        let model: Self = toml::from_str(text)
-            .map_err(|e| ModelError::Invalid { path: path.into(), source: Box::new(e) })?;
-        let Some(form) = forms::form(&model.form) else {
-            let known = forms::FORMS.map(|form| form.name()).join(", ");
-            return Err(ModelError::UnknownForm { path: path.into(), form: model.form, known });
-        };
-        if let Some((key, found, expected)) = model.mismatch(form) {
-            let (path, form) = (path.into(), form.name());
-            return Err(ModelError::Mismatch { path, key, found, form, expected });
-        }
-        if model.test_vectors.is_empty() {
-            return Err(ModelError::NoTestVectors { path: path.into() });
-        }
-        for (i, vector) in model.test_vectors.iter().enumerate() {
-            let found = model.evaluate(vector.solids_fraction, vector.filter_width);
-            let deviation = (found - vector.expected).abs();
-            if deviation.is_nan() || deviation > REPRODUCED {
-                return Err(ModelError::TestVector {
-                    path: path.into(),
-                    index: i + 1,
-                    solids_fraction: vector.solids_fraction,
-                    filter_width: vector.filter_width,
-                    expected: vector.expected,
-                    found,
-                });
-            }
-        }
-        Ok(model)
-    }
-
-    /// What does not fit the form: key, what it is, what it should be.
-    fn mismatch(&self, form: &dyn ClosureForm) -> Option<(String, String, String)> {
-        let list = |names: Vec<String>| names.join(", ");
-        if self.predicts != form.quantity() {
-            return Some((
-                "predicts".into(),
-                format!("\"{}\"", self.predicts),
-                format!("\"{}\"", form.quantity()),
-            ));
-        }
-        let names = list(self.coefficients.iter().map(|c| c.name.clone()).collect());
-        let expected = list(form.parameters().iter().map(|p| p.name.into()).collect());
-        if names != expected {
-            return Some(("coefficients".into(), format!("[{names}]"), format!("[{expected}]")));
-        }
-        for (coefficient, parameter) in self.coefficients.iter().zip(form.parameters()) {
-            if !parameter.bounds.contains(coefficient.value) {
-                return Some((
-                    format!("coefficient {}", coefficient.name),
-                    coefficient.value.to_string(),
-                    format!("a value inside {:?}", parameter.bounds),
-                ));
-            }
-        }
-        let markers: Vec<Marker> = self.ranges.iter().map(|range| range.marker).collect();
-        if markers != form.markers() {
-            return Some((
-                "ranges".into(),
-                format!("{markers:?}"),
-                format!("one range for each of {:?}", form.markers()),
-            ));
-        }
-        for range in &self.ranges {
-            if !(range.low >= 0.0 && range.low <= range.high && range.high.is_finite()) {
-                return Some((
-                    format!("range of {:?}", range.marker),
-                    format!("{} to {}", range.low, range.high),
-                    "0 ≤ low ≤ high".into(),
-                ));
-            }
-        }
-        let count = form.parameters().len();
-        let good = |row: &Vec<f64>| row.len() == count && row.iter().all(|c| c.is_finite());
-        if self.covariance.len() != count || !self.covariance.iter().all(good) {
-            return Some((
-                "covariance".into(),
-                "another shape or not finite".into(),
-                format!("{count} rows of {count} numbers"),
-            ));
-        }
-        None
-    }
-
-    /// Writes the model as TOML.
-    ///
-    /// # Errors
-    /// [`ModelError::Unwritable`] when the writer fails, [`ModelError::Inexpressible`] for a number
-    /// that TOML does not have (a seed above 2⁶³ - 1).
-    pub fn save(&self, mut writer: impl Write) -> Result<(), ModelError> {
-        writer.write_all(toml::to_string(self)?.as_bytes())?;
-        Ok(())
-    }
-
     /// The value at solids fraction `solids_fraction` and filter width `filter_width_scaled` =
-    /// Δ_f/L, both clamped to the valid ranges. NaN for a model whose form is unknown, which
-    /// loading refuses.
+    /// Δ_f/L, both clamped to the valid ranges. NaN for a form that is not in [`forms::FORMS`].
     pub fn evaluate(&self, solids_fraction: f64, filter_width_scaled: f64) -> f64 {
         let markers = self.clamped(solids_fraction, filter_width_scaled);
         forms::form(&self.form).map_or(f64::NAN, |form| form.predict(&self.values(), &markers))
@@ -468,14 +266,6 @@ impl Model {
         }
     }
 
-    /// Largest deviation from the test vectors.
-    pub fn check_test_vectors(&self) -> f64 {
-        self.test_vectors
-            .iter()
-            .map(|v| (self.evaluate(v.solids_fraction, v.filter_width) - v.expected).abs())
-            .fold(0.0, |a, b| if b.is_nan() || b > a { b } else { a })
-    }
-
     /// Whether a point lies inside the valid ranges.
     pub fn is_inside(&self, solids_fraction: f64, filter_width_scaled: f64) -> bool {
         let markers = self.markers(solids_fraction, filter_width_scaled);
@@ -500,7 +290,7 @@ impl Model {
             .map(|range| match range.marker {
                 Marker::SolidsFraction => solids_fraction,
                 Marker::FilterWidth => filter_width_scaled,
-                // Loading refuses a range of a marker that the form does not have.
+                // A table of bins has no other marker.
                 _ => f64::NAN,
             })
             .collect()
@@ -595,9 +385,8 @@ pub fn binned_closure_rows(bins: &[BinRow]) -> Vec<ClosureRow> {
 pub(crate) mod tests {
     use super::*;
     use crate::fit::tests::{PLANTED, WIDTHS, fitted, synthetic};
-    use crate::forms::SaturatingDrag;
+    use crate::forms::{ClosureForm, SaturatingDrag};
     use crate::laws::scales::tests::{GAS, POWDER};
-    use proptest::prelude::*;
 
     /// A model of the planted parameters with noise.
     pub(crate) fn model() -> Model {
@@ -611,45 +400,12 @@ pub(crate) mod tests {
         )
     }
 
-    fn text(model: &Model) -> String {
-        let mut bytes = Vec::new();
-        model.save(&mut bytes).unwrap();
-        String::from_utf8(bytes).unwrap()
-    }
-
-    fn parsed(text: &str) -> Result<Model, ModelError> {
-        Model::parse(text, Path::new("model.toml"))
-    }
-
-    fn message(text: &str) -> String {
-        parsed(text).unwrap_err().to_string()
-    }
-
-    #[test]
-    fn files_round_trip_bit_for_bit() {
-        let model = model();
-        let again = parsed(&text(&model)).unwrap();
-        assert_eq!(again, model);
-        for (a, b) in model.coefficients.iter().zip(&again.coefficients) {
-            assert_eq!(a.value.to_bits(), b.value.to_bits());
-        }
-        assert_eq!(text(&again), text(&model));
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("model.toml");
-        std::fs::write(&path, text(&model)).unwrap();
-        assert_eq!(Model::load(&path).unwrap(), model);
-    }
-
     #[test]
     fn test_vectors_cover_both_sides_of_the_ranges() {
         let model = model();
         assert_eq!(model.test_vectors.len(), 30);
-        assert_eq!(model.check_test_vectors(), 0.0);
         let outside = |v: &&TestVector| !model.is_inside(v.solids_fraction, v.filter_width);
         assert!(model.test_vectors.iter().filter(outside).count() >= 10);
-        let mut other = model.clone();
-        other.coefficients[2].value *= 1.01;
-        assert!(other.check_test_vectors() > 1e-3);
     }
 
     #[test]
@@ -689,65 +445,6 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn each_bad_file_is_refused_with_its_reason() {
-        let good = text(&model());
-        assert!(parsed(&good).is_ok());
-        let swap = |from: &str, to: &str| {
-            assert!(good.contains(from), "{from} is not in the file");
-            message(&good.replacen(from, to, 1))
-        };
-        assert_eq!(
-            swap("form = \"saturating_drag\"", "form = \"cubic\""),
-            "model.toml: form = \"cubic\" is unknown; known: saturating_drag"
-        );
-        let unknown = swap("outside =", "beyond =");
-        assert!(unknown.contains("unknown field `beyond`"), "{unknown}");
-        assert!(unknown.contains("line 7"), "{unknown}");
-        let behaviour = swap("outside = \"clamp\"", "outside = \"hope\"");
-        assert!(
-            behaviour.contains("unknown variant `hope`, expected `clamp` or `formula`"),
-            "{behaviour}"
-        );
-        assert_eq!(
-            swap("predicts = \"drag_correction\"", "predicts = \"slip\""),
-            "model.toml: predicts is \"slip\", but the form `saturating_drag` needs \
-             \"drag_correction\""
-        );
-        let renamed = swap("name = \"plateau\"", "name = \"h_max\"");
-        assert!(renamed.contains("coefficients is [half_width, rise_fraction, h_max"), "{renamed}");
-
-        let spoil = |change: &dyn Fn(&mut Model)| {
-            let mut bad = model();
-            change(&mut bad);
-            message(&text(&bad))
-        };
-        assert_eq!(
-            spoil(&|m| m.coefficients[2].value = 1.5),
-            "model.toml: coefficient plateau is 1.5, but the form `saturating_drag` needs a value \
-             inside Between(0.0, 1.0)"
-        );
-        assert_eq!(
-            spoil(&|m| m.ranges.truncate(1)),
-            "model.toml: ranges is [SolidsFraction], but the form `saturating_drag` needs one \
-             range for each of [SolidsFraction, FilterWidth]"
-        );
-        assert_eq!(
-            spoil(&|m| m.ranges[1].low = 99.0),
-            "model.toml: range of FilterWidth is 99 to 16, but the form `saturating_drag` needs \
-             0 ≤ low ≤ high"
-        );
-        assert!(spoil(&|m| m.covariance.truncate(5)).contains("needs 6 rows of 6 numbers"));
-        assert!(
-            spoil(&|m| m.test_vectors.clear()).starts_with("model.toml: test_vectors is empty")
-        );
-        let moved = spoil(&|m| m.test_vectors[7].expected += 1e-9);
-        assert!(moved.starts_with("model.toml: test vector 8 (solids_fraction 0.1"), "{moved}");
-        assert!(spoil(&|m| m.test_vectors[0].expected = f64::NAN).contains("test vector 1"));
-        let absent = Model::load(Path::new("no/such/model.toml")).unwrap_err().to_string();
-        assert!(absent.starts_with("no/such/model.toml: "), "{absent}");
-    }
-
-    #[test]
     fn closure_rows_are_a_full_grid_of_run_and_round_widths() {
         let model = model();
         let length = model.system.length_i;
@@ -783,17 +480,5 @@ pub(crate) mod tests {
         let rows = binned_closure_rows(&bins);
         assert_eq!(rows.len(), bins.len());
         assert_eq!((rows[3].origin, rows[3].value), (Origin::Bins, bins[3].value));
-    }
-
-    proptest! {
-        #[test]
-        fn values_round_trip_through_toml(value in any::<f64>(), expected in 0.0..1.0) {
-            prop_assume!(value.is_finite());
-            let vector = TestVector { solids_fraction: value, filter_width: 1.0, expected };
-            let text = toml::to_string(&vector).unwrap();
-            let again: TestVector = toml::from_str(&text).unwrap();
-            prop_assert_eq!(again.solids_fraction.to_bits(), value.to_bits());
-            prop_assert_eq!(again.expected.to_bits(), expected.to_bits());
-        }
     }
 }

@@ -7,14 +7,13 @@ pub mod models;
 use crate::bench;
 use crate::case::{Case, Precision};
 use crate::checkpoint::{CheckpointError, Checkpoints};
+use crate::closure::ClosureFile;
 use crate::figure::{self, FigureError};
 use crate::fine::FineFields;
 use crate::fit::{Fit, FitError, ReferenceLength, fit};
 use crate::forms::SaturatingDrag;
 use crate::laws::scales::Scales;
-use crate::model::{
-    Definitions, Model, ModelError, Source, System, binned_closure_rows, closure_rows,
-};
+use crate::model::{Definitions, Model, Source, System, binned_closure_rows, closure_rows};
 use crate::output::{Output, OutputError, RUN_FILE};
 use crate::pool::{Pool, PoolSummary};
 use crate::progress::Progress;
@@ -401,10 +400,8 @@ fn export(
     output.write("signals.csv", |file| write_signals(boxes, file).map_err(io::Error::other))?;
     if let Some(model) = model {
         output.write("model.toml", |file| {
-            model.save(file).map_err(|error| match error {
-                ModelError::Unwritable(source) => source,
-                other => io::Error::other(other),
-            })
+            let text = ClosureFile::fitted(model).to_toml().map_err(io::Error::other)?;
+            file.write_all(text.as_bytes())
         })?;
         let mut rows = closure_rows(model, &case.filter.widths);
         let others: Vec<BinRow> =

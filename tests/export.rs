@@ -10,6 +10,7 @@ use favre::laws::drag::{Beetstra, DragLaw, WenYu};
 use favre::laws::scales::{Gas, Powder, Scales};
 use favre::output::Output;
 use favre::resolved::openfoam::{self, Mesh};
+use favre::spline::Spline;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use std::fs::{self, File};
@@ -128,14 +129,36 @@ fn driver_in_fortran(closure: &Closure) -> String {
     text + "end program driver\n"
 }
 
+/// A closure whose formula is a spline.
+fn surface() -> Closure {
+    let mut file = Closure::find("igci-sundaresan-2011-2d").unwrap().file;
+    file.name = "surface".into();
+    let spline = Spline {
+        fraction_scale: 0.01,
+        width_scale: 2.5,
+        fraction_knots: vec![0.0, 1.1, 2.3, 3.2, 4.1],
+        width_knots: vec![0.0, 0.4, 0.7, 0.85],
+        coefficients: (0..6)
+            .map(|i| (0..5).map(|j| 0.035 * f64::from(i * j) * f64::from(7 - i) / 4.0).collect())
+            .collect(),
+    };
+    let quantity = &mut file.quantities[0];
+    quantity.formula = "surface".into();
+    for vector in &mut quantity.test_vectors {
+        let markers: Vec<f64> = vector.at.values().copied().collect();
+        vector.expected = spline.at(markers[0], markers[1]);
+    }
+    file.formulae.clear();
+    file.splines.insert("surface".into(), spline);
+    Closure::parse(&toml::to_string(&file).unwrap(), Path::new("surface.toml")).unwrap()
+}
+
 /// Every closure in a language: its own check of the test vectors, and 10,000 points of each quantity.
 fn compare(target: Target, compile: impl Fn(&Path, &Closure)) {
     let mut quantities = 0;
-    for (name, _) in BUILT_IN {
-        let closure = Closure::find(name).unwrap();
-        if closure.quantities.is_empty() {
-            continue;
-        }
+    let shipped = BUILT_IN.iter().map(|(name, _)| Closure::find(name).unwrap());
+    for closure in shipped.chain([surface()]).filter(|closure| !closure.quantities.is_empty()) {
+        let name = &closure.file.name;
         let dir = tempfile::tempdir().unwrap();
         let dir = exported(&closure, target, dir.path());
         let mut random = Pcg64Mcg::seed_from_u64(7);

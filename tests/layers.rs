@@ -37,8 +37,9 @@ const ALLOWED: &[(&str, &str)] = &[
     ("table", ""),
     ("forms", ""),
     ("fit", "forms table"),
+    ("spline", "fit forms table"),
     ("model", "fit forms laws table"),
-    ("closure", "expression fit forms model"),
+    ("closure", "expression fit forms model spline"),
     ("lint", "closure expression forms laws model"),
     ("compare", "closure fit forms table"),
     ("export", "closure expression fit forms laws model output resolved"),
@@ -50,7 +51,7 @@ const ALLOWED: &[(&str, &str)] = &[
     ("terms", "case laws"),
     (
         "pipeline",
-        "bench case checkpoint compare figure fine fit forms laws model output pool progress resolved series simulate stability statistics stored summary sums table",
+        "bench case checkpoint closure compare figure fine fit forms laws model output pool progress resolved series simulate stability statistics stored summary sums table",
     ),
     (
         "bench",

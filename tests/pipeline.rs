@@ -4,7 +4,7 @@ mod common;
 
 use assert_cmd::Command;
 use common::SYSTEM;
-use favre::model::Model;
+use favre::closure::Closure;
 use favre::table::{BinRow, read_bins};
 use std::fs;
 use std::path::Path;
@@ -75,10 +75,15 @@ fn a_clustered_box_gives_a_closure_and_the_same_bytes_again() {
     let viscosity = bins.iter().filter(|row| row.quantity == "solids_viscosity");
     assert!(viscosity.filter(|row| row.value > 0.0).count() > 20);
 
-    let model = Model::load(&first.join("model.toml")).unwrap();
-    assert!(model.check_test_vectors() <= 1e-12);
-    assert!(model.goodness.r_squared > 0.8, "{:?}", model.goodness);
-    assert_eq!(model.evaluate(0.15, 0.0), 0.0);
+    let path = first.join("model.toml");
+    let model = Closure::find(path.to_str().unwrap()).unwrap();
+    let drag = model.quantity(Some("drag_correction")).unwrap();
+    for vector in &drag.file.test_vectors {
+        assert!((drag.at(&drag.point(vector)) - vector.expected).abs() <= 1e-12, "{vector:?}");
+    }
+    let fit = model.file.fit.as_ref().unwrap();
+    assert!(fit.goodness.r_squared > 0.8, "{:?}", fit.goodness);
+    assert_eq!(drag.at(&[0.15, 0.0]), 0.0);
 }
 
 /// H of well-populated bins lies in [0, 1) and grows with the filter width at the same fraction.

@@ -116,7 +116,9 @@ pub fn routines(code: &Code) -> String {
         let (name, inputs) = (&routine.name, routine.inputs.join(", "));
         out.push('\n');
         out += &comment("  ! ", std::slice::from_ref(&routine.about));
-        out += &statement("  ", &format!("elemental function {name}({inputs}) result(y)"));
+        // An elemental function has an argument.
+        let kind = if inputs.is_empty() { "pure" } else { "elemental" };
+        out += &statement("  ", &format!("{kind} function {name}({inputs}) result(y)"));
         if !inputs.is_empty() {
             out += &statement("    ", &format!("real(dp), intent(in) :: {inputs}"));
         }

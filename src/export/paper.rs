@@ -184,7 +184,8 @@ fn coefficients(facts: &Facts) -> Vec<[String; 3]> {
         .constants
         .iter()
         .map(|constant| {
-            let fitted = facts.closure.coefficients.iter().find(|c| c.symbol == constant.original);
+            let fit = facts.closure.file.fit.iter().flat_map(|fit| &fit.coefficients);
+            let fitted = fit.into_iter().find(|c| c.symbol == constant.original);
             let interval = match fitted {
                 Some(fit) if fit.held => "held".to_owned(),
                 Some(fit) => format!("{} to {}", rounded(fit.low_95), rounded(fit.high_95)),
