@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
+use favre::export::{TARGETS, Target};
 
 /// Shown when `favre` is called with nothing.
 pub const WELCOME: &str = "\
@@ -21,6 +22,7 @@ Examples:
   favre run --print-case > my-powder.toml   write a commented case file, to be edited
   favre run my-powder.toml                  run it; tables go to favre-out/my-powder
   favre run my-powder.toml --duration '50 u_t/g' --out trial
+  favre export favre-out/my-powder/model.toml --to openfoam
   favre stability my-powder.toml            what grid and box its instability asks for
   favre bench --quick                       how fast this machine is
   favre verify --quick                      whether the simulator solves its equations
@@ -94,6 +96,18 @@ NAME is one that `list` shows or the path of a file: a closure, or the model.tom
 
 Exit status: 0 done, 1 a check found a fault, 2 misuse.";
 
+const EXPORT_EXAMPLES: &str = "\
+Examples:
+  favre export default --to openfoam                to favre-out/default-openfoam
+  favre export favre-out/my-powder/model.toml --to mfix --out mfix
+  favre export igci-sundaresan-2011-3d --to c --out igci
+  favre export sarkar-2016 --to latex --out paper
+
+Each folder has a README that says how to use it, the closure's file, and where there is code its test
+vectors. A closure that a target cannot take is refused with the reason and the nearest that it can.
+
+Exit status: 0 done, 1 failed, 2 misuse or refused.";
+
 const STABILITY_EXAMPLES: &str = "\
 Examples:
   favre stability my-powder.toml            table and figure go to favre-out/my-powder-stability
@@ -121,6 +135,8 @@ pub enum Command {
     Filter(Filter),
     /// Closures, published and one's own: list, show, evaluate, compare, check
     Models(Models),
+    /// A closure for OpenFOAM, MFIX, Fluent, C, Fortran, as tables, or for a paper
+    Export(Export),
     /// Growth of waves on a case's uniform state, and the grid and box they ask for
     Stability(Stability),
     /// Measure how fast this machine runs the kernels
@@ -314,6 +330,32 @@ pub struct Compare {
     /// Print the comparison as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+/// `favre export`.
+#[derive(Args, Debug)]
+#[command(after_help = EXPORT_EXAMPLES)]
+pub struct Export {
+    /// Name or file of a closure, or a run's model.toml
+    #[arg(value_name = "MODEL")]
+    pub model: String,
+    /// openfoam, mfix, fluent, c, fortran, table, latex or markdown
+    #[arg(long, value_name = "TARGET", value_parser = target)]
+    pub to: Target,
+    /// Folder for the files [default: favre-out/ and the closure's name with the target]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Replace an earlier export, once the new one is complete
+    #[arg(long)]
+    pub force: bool,
+}
+
+fn target(text: &str) -> Result<Target, String> {
+    let known = TARGETS.iter().find(|(name, _)| *name == text);
+    known.map(|(_, target)| *target).ok_or_else(|| {
+        let names = TARGETS.map(|(name, _)| name).join(", ");
+        format!("the targets are {names}")
+    })
 }
 
 /// `favre stability`.

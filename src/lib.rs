@@ -37,6 +37,7 @@ pub mod sums;
 
 pub mod closure;
 pub mod compare;
+pub mod export;
 pub mod fit;
 pub mod forms;
 pub mod lint;

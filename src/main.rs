@@ -15,6 +15,8 @@ use clap::Parser;
 use favre::bench;
 use favre::case::{Case, DEFAULT, FieldsChoice};
 use favre::checkpoint::Checkpoints;
+use favre::closure::Closure;
+use favre::export;
 use favre::hard;
 use favre::output::Output;
 use favre::pipeline::{self, RunError, RunOptions};
@@ -54,6 +56,7 @@ fn main() -> ExitCode {
         Some(Command::Simulate(args)) => run(&args, "simulate"),
         Some(Command::Filter(args)) => filter(&args),
         Some(Command::Models(args)) => models::models(&args),
+        Some(Command::Export(args)) => export(&args),
         Some(Command::Stability(args)) => stability(&args),
         Some(Command::Bench(args)) => bench(&args),
         Some(Command::Verify(args)) => verify(&args),
@@ -240,6 +243,23 @@ fn pool(args: &cli::Filter) -> Result<(), Failure> {
     let dir = output.commit().map_err(Failure::failed)?;
     say(format_args!("favre: tables are in {}", dir.display()));
     if args.json { print_json(&summary) } else { print(&summary) }
+}
+
+fn export(args: &cli::Export) -> Result<(), Failure> {
+    let closure = Closure::find(&args.model).map_err(|error| {
+        let advice = "nothing can be exported of it as it is; nearest: correct the file, `favre models \
+                      check` looks at the whole of it, or write its formula and its ranges as those in \
+                      `favre models show default` are";
+        Failure::misuse(format!("{}: {advice}", chain(&error)))
+    })?;
+    let pieces = export::export(&closure, args.to).map_err(Failure::misuse)?;
+    let default = Path::new("favre-out").join(format!("{}-{}", closure.file.name, args.to));
+    let dir = args.out.as_deref().unwrap_or(&default);
+    let output = Output::create(dir, args.force).map_err(Failure::misuse)?;
+    export::write(&pieces, &output).map_err(Failure::failed)?;
+    let dir = output.commit().map_err(Failure::failed)?;
+    say(format_args!("favre: {} for {} is in {}", closure.file.name, args.to, dir.display()));
+    Ok(())
 }
 
 fn stability(args: &cli::Stability) -> Result<(), Failure> {

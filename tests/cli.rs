@@ -505,3 +505,46 @@ fn a_bench_prints_times() {
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     assert!(serde_json::from_str::<serde_json::Value>(&stdout(&output)).unwrap().is_object());
 }
+
+#[test]
+fn exports_are_whole_or_refused_with_what_is_nearest() {
+    let dir = tempfile::tempdir().unwrap();
+    let output = favre(dir.path(), &["export", "default", "--to", "c"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let folder = dir.path().join("favre-out/default-c");
+    let files = ["README.md", "check.c", "closure.toml", "favre_closure.h", "run.json"];
+    assert_eq!(names(&folder), files);
+    // The hash is that of the file beside it, and of what `models show` prints.
+    let shown = favre(dir.path(), &["models", "show", "default", "--all"]);
+    assert_eq!(fs::read_to_string(folder.join("closure.toml")).unwrap(), stdout(&shown));
+    // An export of the export is the same.
+    let again = ["export", "favre-out/default-c/closure.toml", "--to", "c", "--out", "again"];
+    assert!(favre(dir.path(), &again).status.success());
+    for file in files {
+        let read = |folder: &Path| fs::read(folder.join(file)).unwrap();
+        assert_eq!(read(&folder), read(&dir.path().join("again")), "{file}");
+    }
+    assert!(stderr(&favre(dir.path(), &again)).contains("exists: choose another with --out"));
+
+    let original = stdout(&shown);
+    let refused = |text: &str, target: &str| {
+        fs::write(dir.path().join("mine.toml"), text).unwrap();
+        let output = favre(dir.path(), &["export", "mine.toml", "--to", target, "--out", "no"]);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(!dir.path().join("no").exists());
+        stderr(&output)
+    };
+    let range = original.rfind("[[quantities.ranges]]").unwrap();
+    let end = range + 1 + original[range + 1..].find("[[").unwrap();
+    let without = format!("{}{}", &original[..range], &original[end..]);
+    let message = refused(&without, "openfoam");
+    assert!(message.contains("it is filter_width, which has no range here"), "{message}");
+    assert!(message.contains("nearest"), "{message}");
+    let message = refused(&original.replace("saturating_drag", "mine"), "latex");
+    assert!(message.contains("form \"mine\"") && message.contains("known: saturating_drag"));
+    assert!(message.contains("nearest: leave out [fit]"), "{message}");
+    let message = refused(&original.replace("wen-yu", "mine"), "mfix");
+    assert!(message.contains("drag law \"mine\"") && message.contains("nearest"), "{message}");
+    let message = stderr(&favre(dir.path(), &["export", "default", "--to", "barracuda"]));
+    assert!(message.contains("the targets are openfoam, mfix, fluent, c, fortran"), "{message}");
+}

@@ -42,6 +42,7 @@ const ALLOWED: &[(&str, &str)] = &[
     ("closure", "expression fit forms model spline"),
     ("lint", "closure expression forms laws model"),
     ("compare", "closure fit forms table"),
+    ("export", "closure expression fit forms laws model output resolved"),
     ("figure", "bench compare fit forms model stability table"),
     ("output", ""),
     ("progress", "series simulate"),
