@@ -15,7 +15,7 @@ use clap::Parser;
 use favre::bench;
 use favre::case::{Case, DEFAULT, FieldsChoice};
 use favre::checkpoint::Checkpoints;
-use favre::closure::Closure;
+use favre::closure::{Closure, ClosureError};
 use favre::export;
 use favre::hard;
 use favre::output::Output;
@@ -247,6 +247,9 @@ fn pool(args: &cli::Filter) -> Result<(), Failure> {
 
 fn export(args: &cli::Export) -> Result<(), Failure> {
     let closure = Closure::find(&args.model).map_err(|error| {
+        if !matches!(error, ClosureError::Invalid { .. } | ClosureError::Wrong { .. }) {
+            return Failure::misuse(error);
+        }
         let advice = "nothing can be exported of it as it is; nearest: correct the file, `favre models \
                       check` looks at the whole of it, or write its formula and its ranges as those in \
                       `favre models show default` are";

@@ -545,6 +545,8 @@ fn exports_are_whole_or_refused_with_what_is_nearest() {
     assert!(message.contains("nearest: leave out [fit]"), "{message}");
     let message = refused(&original.replace("wen-yu", "mine"), "mfix");
     assert!(message.contains("drag law \"mine\"") && message.contains("nearest"), "{message}");
+    let message = stderr(&favre(dir.path(), &["export", "defualt", "--to", "c"]));
+    assert!(message.ends_with("did you mean default?\n"), "{message}");
     let message = stderr(&favre(dir.path(), &["export", "default", "--to", "barracuda"]));
     assert!(message.contains("the targets are openfoam, mfix, fluent, c, fortran"), "{message}");
 }
