@@ -4,6 +4,10 @@
 //! cell) and parameters (what the fit finds). It knows no data and no file. A second form is one
 //! more implementor of [`ClosureForm`] and one more entry in [`FORMS`].
 
+mod formula;
+
+pub use formula::{FormulaForm, UserForm};
+
 use serde::{Deserialize, Serialize};
 
 /// What a coarse solver knows in a cell and a closure depends on.
@@ -62,6 +66,8 @@ pub enum Bounds {
     Positive,
     /// Between two numbers; fitted as its logit.
     Between(f64, f64),
+    /// Any number, of order one; fitted as it is.
+    Any,
 }
 
 /// Largest absolute free coordinate: within, exp and the logistic function neither overflow nor
@@ -74,16 +80,21 @@ impl Bounds {
         let free = match self {
             Bounds::Positive => value.ln(),
             Bounds::Between(low, high) => ((value - low) / (high - value)).ln(),
+            Bounds::Any => return value,
         };
         free.clamp(-FREE_LIMIT, FREE_LIMIT)
     }
 
     /// The value inside the bounds at a free coordinate.
     pub fn value(self, free: f64) -> f64 {
+        if self == Bounds::Any {
+            return free;
+        }
         let free = free.clamp(-FREE_LIMIT, FREE_LIMIT);
         match self {
             Bounds::Positive => free.exp(),
             Bounds::Between(low, high) => low + (high - low) / (1.0 + (-free).exp()),
+            Bounds::Any => free,
         }
     }
 
@@ -92,6 +103,7 @@ impl Bounds {
         match self {
             Bounds::Positive => value,
             Bounds::Between(low, high) => (value - low) * (high - value) / (high - low),
+            Bounds::Any => 1.0,
         }
     }
 
@@ -100,6 +112,7 @@ impl Bounds {
         match self {
             Bounds::Positive => value > 0.0 && value.is_finite(),
             Bounds::Between(low, high) => value > low && value < high,
+            Bounds::Any => value.is_finite(),
         }
     }
 }
@@ -134,7 +147,7 @@ pub trait ClosureForm: std::fmt::Debug + Sync {
     /// Quantity that the form describes, as in the bin table.
     fn quantity(&self) -> &'static str;
 
-    /// Unit of that quantity; `-` for a number.
+    /// What a value is scaled by; `-` for a number.
     fn unit(&self) -> &'static str;
 
     /// Smallest and largest value that the quantity can have.
@@ -155,7 +168,15 @@ pub trait ClosureForm: std::fmt::Debug + Sync {
 }
 
 /// All forms, by which a model file's form is looked up.
-pub const FORMS: [&dyn ClosureForm; 1] = [&SaturatingDrag];
+pub const FORMS: [&dyn ClosureForm; 7] = [
+    &SaturatingDrag,
+    &formula::SLIP_DRAG,
+    &formula::DRIFT_VELOCITY,
+    &formula::DRIFT_PRESSURE,
+    &formula::SMAGORINSKY,
+    &formula::VISCOSITY_POWER,
+    &formula::PRESSURE_POWER,
+];
 
 /// The form named `name`, if there is one.
 pub fn form(name: &str) -> Option<&'static dyn ClosureForm> {

@@ -572,4 +572,14 @@ pub(crate) mod tests {
             "coefficients: 1 is not from 0 to below 1"
         );
     }
+
+    /// Bar 3, on the default run's bins: the curve lies within their intervals.
+    #[test]
+    fn the_default_runs_bins_hold_the_surface() {
+        let text = include_str!("../data/default/drag_correction.csv");
+        let rows = crate::table::parse_bins(text.as_bytes(), std::path::Path::new("bins.csv"));
+        let fit = fit_spline(&rows.unwrap(), ReferenceLength::One, None).unwrap();
+        println!("{} {} {} {}", fit.points, fit.inside, fit.smoothing, fit.r_squared);
+        assert!(fit.points > 100 && fit.inside >= HELD, "{} of {}", fit.inside, fit.points);
+    }
 }

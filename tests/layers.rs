@@ -35,7 +35,7 @@ const ALLOWED: &[(&str, &str)] = &[
     ("simulate", "case filter fine grid laws real series spectral statistics stored two_fluid"),
     ("stability", "case laws"),
     ("table", ""),
-    ("forms", ""),
+    ("forms", "expression"),
     ("fit", "forms table"),
     ("spline", "fit forms table"),
     ("model", "fit forms laws table"),
