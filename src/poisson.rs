@@ -39,6 +39,9 @@ const ROUND_OFF: f64 = 1e4;
 /// Iterations after which a solve goes on with K-cycles.
 const PATIENCE: usize = 6;
 
+/// Most that a coarse solution is too small by.
+const LONGEST_SHARE: f64 = 8.0;
+
 /// How much longer than the shortest edge of a cell another is that is not yet halved.
 const FLAT: f64 = 1.5;
 
@@ -156,6 +159,14 @@ impl<const D: usize> Level<D> {
                 self.sweep(keep as Fast, scale as Fast);
             }
         }
+    }
+
+    /// Takes off the solution's mean, which is nothing but round-off, grown.
+    fn take_off_mean(&mut self) {
+        let mean = self.solution.mean() as Fast;
+        self.rows.each([&mut self.solution], |_, [solution]| {
+            solution.iter_mut().for_each(|x| *x -= mean);
+        });
     }
 
     /// right - A solution, into `other`.
@@ -553,21 +564,19 @@ fn correct<const D: usize>(levels: &mut [Level<D>], twice: bool) {
         return;
     }
     let level = &mut levels[0];
+    level.take_off_mean();
     std::mem::swap(&mut level.solution, &mut level.first);
     let Level { rows, weights, first, image, right, .. } = level;
     let bilinear = |x: &Field<Fast, D>, y: &Field<Fast, D>| {
         rows.fold(&|o| dot(x.row(o), y.row(o)), &|a, b| a + b)
     };
     rows.each([&mut *image], |o, [image]| image_row(image, Stencil::at(weights, first, o)));
-    let (curvature, along) = (bilinear(first, image), bilinear(first, right));
-    if curvature <= 0.0 {
-        std::mem::swap(&mut level.solution, &mut level.first);
-        return;
-    }
-    let share = along / curvature;
+    let curvature = bilinear(first, image);
+    let share = step_length(bilinear(first, right), curvature);
     rows.each([right], |o, [right]| subtract_row(right, image.row(o), share as Fast));
     levels[0].start(scale);
     cycle(levels, twice);
+    levels[0].take_off_mean();
 
     let Level { rows, weights, first, image, right, solution, other, .. } = &mut levels[0];
     let bilinear = |x: &Field<Fast, D>, y: &Field<Fast, D>| {
@@ -575,13 +584,19 @@ fn correct<const D: usize>(levels: &mut [Level<D>], twice: bool) {
     };
     let (mixed, second_along) = (bilinear(solution, image), bilinear(solution, right));
     rows.each([&mut *other], |o, [image]| image_row(image, Stencil::at(weights, solution, o)));
-    let second = bilinear(solution, other) - mixed * mixed / curvature;
-    // Of what the first has left nothing, or of no more than round-off.
-    let second_share = if second > 0.0 { second_along / second } else { 0.0 };
-    let first_share = share - mixed * second_share / curvature;
+    let shared = if curvature > 0.0 { mixed / curvature } else { 0.0 };
+    let second_share = step_length(second_along, bilinear(solution, other) - mixed * shared);
+    let first_share = share - shared * second_share;
     rows.each([solution], |o, [solution]| {
         combine_row(solution, first.row(o), second_share as Fast, first_share as Fast);
     });
+}
+
+/// How much of a direction lowers the error most, from its product with the residual and its curvature;
+/// within bounds, because a constant has no curvature, and of a solution to round-off nothing else is
+/// left.
+fn step_length(along: f64, curvature: f64) -> f64 {
+    if along > 0.0 && curvature > 0.0 { (along / curvature).min(LONGEST_SHARE) } else { 0.0 }
 }
 
 simd! {

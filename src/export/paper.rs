@@ -315,10 +315,16 @@ mod tests {
         let tex = of(&latex(&facts)[0]);
         assert!(tex.contains("H = "), "{tex}");
         assert!(tex.contains("\\begin{cases}") || tex.contains("\\frac"), "{tex}");
-        assert!(tex.contains("$H_\\infty$ & $0.8109728988461256$ & 0.7686 -- 0.8471"), "{tex}");
+        let fit = closure.file.fit.as_ref().unwrap();
+        let plateau = fit.coefficients.iter().find(|c| c.symbol == "H_inf").unwrap();
+        let (value, low, high) =
+            (short(plateau.value), rounded(plateau.low_95), rounded(plateau.high_95));
+        assert!(tex.contains(&format!("$H_\\infty$ & ${value}$ & {low} -- {high}")), "{tex}");
         let page = of(&markdown(&facts)[0]);
-        assert!(page.contains("| $H_\\infty$ | 0.8109728988461256 | 0.7686 to 0.8471 |"), "{page}");
-        assert!(page.contains("| filtered solids fraction | $\\phi$ | 0 | 0.66 |"), "{page}");
+        assert!(page.contains(&format!("| $H_\\infty$ | {value} | {low} to {high} |")), "{page}");
+        let range = &closure.file.quantities[0].ranges[0];
+        let row = format!("| filtered solids fraction | $\\phi$ | 0 | {} |", short(range.high));
+        assert!(page.contains(&row), "{page}");
     }
 
     #[test]
