@@ -357,7 +357,12 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             time: 0.0,
             steps: 0,
             next_dt: first_step(&grid, &setup, time_scale),
-            smooth_step: SMOOTH / (diffusivity * inverse_square(&grid)),
+            // Without solids there are no waves of theirs.
+            smooth_step: if mean > 0.0 {
+                SMOOTH / (diffusivity * inverse_square(&grid))
+            } else {
+                f64::INFINITY
+            },
             gas_speed: slip / grid.spacing[D - 1],
             clock: None,
             tolerance: TOLERANCE,
