@@ -241,6 +241,12 @@ pub struct Quantity {
 }
 
 impl Quantity {
+    /// A call of its routine; the markers are variables of their own names.
+    pub fn call(&self) -> String {
+        let symbols: Vec<&str> = self.ranges.iter().map(|range| range.symbol()).collect();
+        format!("favre_{}({})", self.name, symbols.join(", "))
+    }
+
     /// A line for each marker: symbol, meaning, range.
     pub fn range_lines(&self) -> Vec<String> {
         self.ranges
@@ -314,6 +320,16 @@ pub struct Facts<'a> {
 }
 
 impl<'a> Facts<'a> {
+    /// The README of routines that belong to no solver.
+    pub fn readme_of_routines(&self, template: &str) -> Piece {
+        let texts = [
+            ("name", &*self.name),
+            ("facts", &*self.readme),
+            ("call", &*self.quantities[0].call()),
+        ];
+        Piece::text("README.md", fill(template, &texts))
+    }
+
     /// The facts of `closure`; `for_solver`: with the drag law that it corrects.
     ///
     /// # Errors
