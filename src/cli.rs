@@ -108,6 +108,17 @@ vectors. A closure that a target cannot take is refused with the reason and the 
 
 Exit status: 0 done, 1 failed, 2 misuse or refused.";
 
+const REPORT_EXAMPLES: &str = "\
+Examples:
+  favre report favre-out/default                    favre-out/default/report.html, as a run leaves it
+  favre report favre-out/* --out all.html           several runs, side by side and each
+  favre report favre-out/default --figures paper    and its figures, as SVG and PNG
+  favre report favre-out/interrupted                a run as far as it went, from its checkpoints
+
+The page needs no other file and no network. Numbers behind a figure are a click away.
+
+Exit status: 0 done, 1 failed, 2 misuse.";
+
 const STABILITY_EXAMPLES: &str = "\
 Examples:
   favre stability my-powder.toml            table and figure go to favre-out/my-powder-stability
@@ -137,6 +148,8 @@ pub enum Command {
     Models(Models),
     /// A closure for OpenFOAM, MFIX, Fluent, C, Fortran, as tables, or for a paper
     Export(Export),
+    /// What runs found, as one page to look at
+    Report(Report),
     /// Growth of waves on a case's uniform state, and the grid and box they ask for
     Stability(Stability),
     /// Measure how fast this machine runs the kernels
@@ -356,6 +369,24 @@ fn target(text: &str) -> Result<Target, String> {
         let names = TARGETS.map(|(name, _)| name).join(", ");
         format!("the targets are {names}")
     })
+}
+
+/// `favre report`.
+#[derive(Args, Debug)]
+#[command(after_help = REPORT_EXAMPLES)]
+pub struct Report {
+    /// Folders of runs; of a run that was interrupted, the folder that it was to fill
+    #[arg(value_name = "DIR", required = true)]
+    pub paths: Vec<PathBuf>,
+    /// The page [default: report.html in DIR, of several runs favre-out/report.html]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Write its figures too, as SVG and PNG, to this folder
+    #[arg(long, value_name = "DIR")]
+    pub figures: Option<PathBuf>,
+    /// Replace earlier figures, once the new ones are complete
+    #[arg(long)]
+    pub force: bool,
 }
 
 /// `favre stability`.

@@ -28,6 +28,7 @@ use faer::Mat;
 use levenberg_marquardt::LevenbergMarquardt;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
+use std::fmt;
 use thiserror::Error as ThisError;
 
 /// Length by which a model scales the filter width.
@@ -40,6 +41,15 @@ pub enum ReferenceLength {
     /// L_II = d Fr_p^(1/3).
     #[serde(rename = "L_II")]
     Two,
+}
+
+impl fmt::Display for ReferenceLength {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::One => "L_I",
+            Self::Two => "L_II",
+        })
+    }
 }
 
 impl ReferenceLength {

@@ -53,6 +53,7 @@ pub mod output;
 pub mod pipeline;
 pub mod pool;
 pub mod progress;
+pub mod report;
 pub mod summary;
 pub mod terms;
 pub mod verify;

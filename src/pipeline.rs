@@ -3,9 +3,12 @@
 
 pub mod fields;
 pub mod models;
+mod report;
+
+pub use report::{figures, report};
 
 use crate::bench;
-use crate::case::{Case, Precision};
+use crate::case::{Case, CaseError, Precision};
 use crate::checkpoint::{CheckpointError, Checkpoints};
 use crate::closure::ClosureFile;
 use crate::figure::{self, FigureError};
@@ -17,6 +20,7 @@ use crate::model::{Definitions, Model, Source, System, binned_closure_rows, clos
 use crate::output::{Output, OutputError, RUN_FILE};
 use crate::pool::{Pool, PoolSummary};
 use crate::progress::Progress;
+use crate::report::{Folder, REPORT_FILE, ReportError, page};
 use crate::resolved::ResolvedError;
 use crate::resolved::series::SeriesError;
 use crate::resolved::write::{RecordError, Recorder};
@@ -112,6 +116,12 @@ pub enum RunError {
     /// Nothing could be measured.
     #[error(transparent)]
     Bench(#[from] bench::BenchError),
+    /// What is to be reported cannot be read.
+    #[error(transparent)]
+    Report(#[from] ReportError),
+    /// The case of an interrupted run is not acceptable.
+    #[error(transparent)]
+    Case(#[from] CaseError),
     /// Its files cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
@@ -160,6 +170,12 @@ pub fn run(
     fields::take_fields(case, checkpoints, output)?;
     let sums = sums_file(case, sums);
     output.write(SUMS_FILE, |file| sums.write(file))?;
+    // From the files, as `favre report` makes it.
+    let command = format!("favre report {}", output.dir().display());
+    let mut found = Folder::read(output.partial())?;
+    found.path = output.dir().into();
+    let page = page(&[found], &command);
+    output.write(REPORT_FILE, |file| file.write_all(page.as_bytes()))?;
     Ok(summary)
 }
 
@@ -408,7 +424,7 @@ fn export(
             bins.iter().filter(|row| row.quantity != model.predicts).cloned().collect();
         rows.extend(binned_closure_rows(&others));
         output.write("closures.csv", |file| write_rows(&rows, file).map_err(io::Error::other))?;
-        let drawing = figure::closure_figure(bins, model);
+        let drawing = figure::closure_chart(bins, &rows, &model.predicts).figure();
         output.write("closures.svg", |file| file.write_all(drawing.svg().as_bytes()))?;
     }
     let scale = summary.scales.terminal_velocity;
@@ -426,7 +442,9 @@ fn export(
         output.write(&format!("field_{phi}.png"), |file| file.write_all(&field))?;
         let slip: Vec<f64> = simulated.signals.slip.iter().map(|slip| slip / scale).collect();
         let uniform = simulated.uniform_slip / scale;
-        let drawing = figure::series_figure(&simulated.signals.time, &slip, summary.start, uniform);
+        let times = &simulated.signals.time;
+        let drawing =
+            figure::series_chart(times, &slip, Some(summary.start), Some(uniform)).figure();
         output
             .write(&format!("slip_{phi}.svg"), |file| file.write_all(drawing.svg().as_bytes()))?;
     }

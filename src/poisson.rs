@@ -482,11 +482,7 @@ impl<R: Real, const D: usize> Poisson<R, D> {
             if curvature <= 0.0 {
                 return Solve { iterations: iteration, residual: worst };
             }
-            let along = if beta == 0.0 {
-                zr
-            } else {
-                product(&rows, residual, direction)
-            };
+            let along = if beta == 0.0 { zr } else { product(&rows, residual, direction) };
             alpha = along / curvature;
             old = zr;
             worst = rows

@@ -414,7 +414,7 @@ impl fmt::Display for Summary {
 }
 
 /// A number and its standard error, two digits of it.
-fn interval(value: f64, error: f64) -> String {
+pub fn interval(value: f64, error: f64) -> String {
     if !error.is_finite() {
         return format!("{value:.3} ± ?");
     }

@@ -43,7 +43,8 @@ const ALLOWED: &[(&str, &str)] = &[
     ("lint", "closure expression forms laws model"),
     ("compare", "closure fit forms table"),
     ("export", "closure expression fit forms laws model output resolved"),
-    ("figure", "bench compare fit forms model stability table"),
+    ("figure", "bench compare stability table"),
+    ("report", "closure compare figure fit forms output summary table"),
     ("output", ""),
     ("progress", "series simulate"),
     ("checkpoint", "binary case output simulate stability sums"),
@@ -51,7 +52,7 @@ const ALLOWED: &[(&str, &str)] = &[
     ("terms", "case laws"),
     (
         "pipeline",
-        "bench case checkpoint closure compare figure fine fit forms laws model output pool progress resolved series simulate stability statistics stored summary sums table",
+        "bench case checkpoint closure compare figure fine fit forms laws model output pool progress report resolved series simulate stability statistics stored summary sums table",
     ),
     (
         "bench",
@@ -71,7 +72,8 @@ const RESERVED: &[(&str, &str)] = &[
     ("rustfft", "spectral"),
     ("cpu_time", "bench"),
     ("roxmltree", "resolved"),
-    ("base64", "resolved"),
+    ("base64", "resolved report"),
+    ("maud", "report"),
     ("flate2", "resolved"),
 ];
 
