@@ -133,6 +133,10 @@ pub enum Command {
     Simulate(Run),
     /// Bin fields on disk, one's own or anyone's, or put runs together from their sums
     Filter(Filter),
+    /// Fit forms to runs: coefficients with intervals, scores on runs left out, a closure
+    Fit(Fit),
+    /// With which length runs of different powders collapse, and how stresses grow with the filter
+    Exponents(Exponents),
     /// Closures, published and one's own: list, show, evaluate, compare, check
     Models(Models),
     /// A closure for OpenFOAM, MFIX, Fluent, C, Fortran, as tables, or for a paper
@@ -212,6 +216,46 @@ pub struct Filter {
     /// Say nothing but errors
     #[arg(long, short)]
     pub quiet: bool,
+    /// Print what was found as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `favre fit`.
+#[derive(Args, Debug)]
+pub struct Fit {
+    /// Folders of runs of one powder, or their sums.favre
+    #[arg(value_name = "RUN", required = true)]
+    pub paths: Vec<PathBuf>,
+    /// Forms by name, or a file with one's own
+    #[arg(
+        long,
+        value_name = "NAME|FORM.toml",
+        value_delimiter = ',',
+        default_value = "saturating_drag,spline"
+    )]
+    pub form: Vec<String>,
+    /// Bootstrap replicates
+    #[arg(long, value_name = "N", default_value = "200",
+        value_parser = clap::value_parser!(u16).range(40..=10000))]
+    pub replicates: u16,
+    /// Folder for model.toml and run.json [default: favre-out/fit]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Replace earlier results, once the new ones are complete
+    #[arg(long)]
+    pub force: bool,
+    /// Print what was found as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `favre exponents`.
+#[derive(Args, Debug)]
+pub struct Exponents {
+    /// Folders of runs, each of one powder, or their sums.favre
+    #[arg(value_name = "RUN", required = true)]
+    pub paths: Vec<PathBuf>,
     /// Print what was found as JSON
     #[arg(long)]
     pub json: bool,

@@ -18,9 +18,9 @@
 
 use crate::expression::{Expression, Meaning, Program};
 use crate::fit::{Coefficient, Goodness, ReferenceLength, ValidRange};
-use crate::forms::{self, Marker};
+use crate::forms::{ClosureForm, Marker};
 use crate::model::{Definitions, Model, Outside, System};
-use crate::spline::Spline;
+use crate::spline::{Spline, SplineFit};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -77,7 +77,7 @@ pub struct ClosureFile {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FitFile {
-    /// Name of the form, see [`forms::FORMS`].
+    /// Name of the form, see [`forms::FORMS`](crate::forms::FORMS).
     pub form: String,
     /// Its formula, for the reader.
     pub formula: String,
@@ -253,13 +253,40 @@ built_in!(
 /// More characters than this in all formulae together are a mistake.
 const LONGEST: usize = 100_000;
 
+/// A range with two ends: one filter width alone holds within a thousandth.
+fn ended(range: ValidRange) -> ValidRange {
+    let low = if range.low < range.high { range.low } else { 0.999 * range.high };
+    ValidRange { low, ..range }
+}
+
+/// Test vectors at the ends of the ranges, between them and beyond.
+fn vectors(ranges: &[ValidRange], value: &dyn Fn(&[f64]) -> f64) -> Vec<Vector> {
+    let shares: [f64; 5] = [0.0, 0.3, 0.7, 1.0, 1.25];
+    // Every pair of shares of the first two markers; the others go with them.
+    let pairs = shares.iter().flat_map(|a| shares.iter().map(move |b| [*a, *b]));
+    pairs
+        .map(|[a, b]| {
+            let at = |(k, range): (usize, &ValidRange)| {
+                let share = if k % 2 == 0 { a } else { b };
+                (range.marker, range.low + share * (range.high - range.low))
+            };
+            let at: BTreeMap<Marker, f64> = ranges.iter().enumerate().map(at).collect();
+            let moved: Vec<f64> =
+                ranges.iter().map(|range| at[&range.marker].clamp(range.low, range.high)).collect();
+            Vector { at, expected: value(&moved) }
+        })
+        .collect()
+}
+
+fn vectors_of(model: &Model, form: &dyn ClosureForm) -> Vec<Vector> {
+    let values: Vec<f64> = model.coefficients.iter().map(|c| c.value).collect();
+    let ranges: Vec<ValidRange> = model.ranges.iter().map(|range| ended(*range)).collect();
+    vectors(&ranges, &|point| form.predict(&values, point))
+}
+
 impl ClosureFile {
-    /// A fitted model as a closure file.
-    ///
-    /// # Panics
-    /// If its form is not in [`forms::FORMS`].
-    pub fn fitted(model: &Model) -> Self {
-        let form = forms::form(&model.form).expect("a fit is of a known form");
+    /// A fitted model of `form` as a closure file.
+    pub fn fitted(model: &Model, form: &dyn ClosureForm) -> Self {
         let constants = model.coefficients.iter().map(|c| (c.symbol.clone(), c.value)).collect();
         let test_vectors = model
             .test_vectors
@@ -272,12 +299,14 @@ impl ClosureFile {
                 expected: v.expected,
             })
             .collect();
+        let test_vectors =
+            if form.markers().len() == 2 { test_vectors } else { vectors_of(model, form) };
         let quantity = QuantityFile {
             predicts: model.predicts.clone(),
             unit: model.unit.clone(),
             formula: form.expression().into(),
             exponents: BTreeMap::new(),
-            ranges: model.ranges.clone(),
+            ranges: model.ranges.iter().map(|range| ended(*range)).collect(),
             test_vectors,
         };
         let fit = FitFile {
@@ -311,6 +340,48 @@ impl ClosureFile {
             splines: BTreeMap::new(),
             fit: Some(fit),
             quantities: vec![quantity],
+            known_flaws: Vec::new(),
+        }
+    }
+
+    /// A fitted surface as a closure file.
+    pub fn splined(
+        name: &str,
+        predicts: &str,
+        fit: &SplineFit,
+        system: System,
+        definitions: Definitions,
+    ) -> Self {
+        let ranges: Vec<ValidRange> = fit.ranges.iter().map(|range| ended(*range)).collect();
+        let test_vectors = vectors(&ranges, &|point| fit.spline.at(point[0], point[1]));
+        let share = 100.0 * fit.inside;
+        Self {
+            name: name.into(),
+            title: format!("fitted by Favre to {} bins, R² = {:.3}", fit.points, fit.r_squared),
+            status: Status::Full,
+            missing: Vec::new(),
+            reference_length: fit.reference_length,
+            outside: Outside::Clamp,
+            notes: vec![format!("{share:.1} % of the bins' 95 % intervals hold the surface.")],
+            source: Provenance {
+                reference: format!("run {name}"),
+                read_from: format!("fit by favre {}", env!("CARGO_PKG_VERSION")),
+                choices: Vec::new(),
+            },
+            definitions,
+            system: Some(system),
+            constants: BTreeMap::new(),
+            formulae: BTreeMap::new(),
+            splines: BTreeMap::from([("h".to_owned(), fit.spline.clone())]),
+            fit: None,
+            quantities: vec![QuantityFile {
+                predicts: predicts.into(),
+                unit: "-".into(),
+                formula: "h".into(),
+                exponents: BTreeMap::new(),
+                ranges,
+                test_vectors,
+            }],
             known_flaws: Vec::new(),
         }
     }
@@ -573,7 +644,10 @@ const PIECE: usize = 4096;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fit::tests::{WIDTHS, synthetic};
+    use crate::forms::SaturatingDrag;
     use crate::model::tests::model;
+    use crate::spline::fit_spline;
 
     #[test]
     fn what_is_shipped_loads_and_gives_its_test_vectors() {
@@ -608,7 +682,7 @@ mod tests {
     #[test]
     fn a_fitted_model_is_the_same_closure() {
         let model = model();
-        let file = ClosureFile::fitted(&model);
+        let file = ClosureFile::fitted(&model, &SaturatingDrag);
         let text = file.to_toml().unwrap();
         let closure = Closure::parse(&text, Path::new("model.toml")).unwrap();
         assert_eq!(closure.file, file);
@@ -625,10 +699,31 @@ mod tests {
         }
     }
 
+    /// Bar 3 for the surface: its file loads and gives its test vectors.
+    #[test]
+    fn a_fitted_surface_is_a_closure() {
+        let rows = synthetic(&WIDTHS, 0.58, 0.02, 1);
+        let fit = fit_spline(&rows, ReferenceLength::One, None).unwrap();
+        let model = model();
+        let file =
+            ClosureFile::splined("s", "drag_correction", &fit, model.system, model.definitions);
+        let text = file.to_toml().unwrap();
+        let closure = Closure::parse(&text, Path::new("model.toml")).unwrap();
+        assert_eq!(closure.file, file);
+        let quantity = &closure.quantities[0];
+        assert_eq!(quantity.file.test_vectors.len(), 25);
+        for vector in &quantity.file.test_vectors {
+            let found = quantity.at(&quantity.point(vector));
+            assert!((found - vector.expected).abs() < 1e-12, "{vector:?} {found}");
+        }
+        let bad = text.replace("width_scale", "widht_scale");
+        assert!(Closure::parse(&bad, Path::new("m.toml")).is_err());
+    }
+
     #[test]
     fn a_fit_whose_numbers_do_not_belong_together_is_refused() {
         let spoil = |change: &dyn Fn(&mut ClosureFile)| {
-            let mut file = ClosureFile::fitted(&model());
+            let mut file = ClosureFile::fitted(&model(), &SaturatingDrag);
             change(&mut file);
             let text = file.to_toml().unwrap();
             Closure::parse(&text, Path::new("m.toml")).unwrap_err().to_string()

@@ -17,6 +17,7 @@ use crate::model::{Definitions, Model, Source, System, binned_closure_rows, clos
 use crate::output::{Output, OutputError, RUN_FILE};
 use crate::pool::{Pool, PoolSummary};
 use crate::progress::Progress;
+use crate::refit::{Candidate, Fitted, preferred};
 use crate::resolved::ResolvedError;
 use crate::resolved::series::SeriesError;
 use crate::resolved::write::{RecordError, Recorder};
@@ -192,6 +193,48 @@ pub fn pooled(pool: &Pool, output: &Output) -> Result<PoolSummary, RunError> {
     let summary = pool.summary();
     output.write(RUN_FILE, |file| Ok(serde_json::to_writer_pretty(file, &summary)?))?;
     Ok(summary)
+}
+
+/// Fits in `output`, which the caller commits: the preferred shape of the first quantity in model.toml,
+/// of others in model_QUANTITY.toml, and run.json.
+///
+/// # Errors
+/// A file cannot be written.
+pub fn fitted(pool: &Pool, found: &[Candidate], output: &Output) -> Result<(), RunError> {
+    let system = &pool.file.system;
+    let name = pool.file.runs.first().map_or("fit", |run| run.name.as_str());
+    let system_of = System::new(&system.powder, &system.gas, &system.scales());
+    let definitions = Definitions::favre(&system.drag);
+    let mut seen: Vec<&str> = Vec::new();
+    for candidate in found {
+        let quantity = candidate.quantity;
+        if seen.contains(&quantity) {
+            continue;
+        }
+        let Some(taken) = preferred(found, quantity) else { continue };
+        let closure = match &taken.fitted {
+            Fitted::Form(fit) => {
+                let version = env!("CARGO_PKG_VERSION").into();
+                let source = Source { reference: name.into(), version, seed: None };
+                let model = Model::new(name, fit, source, system_of, definitions.clone());
+                ClosureFile::fitted(&model, fit.form)
+            }
+            Fitted::Spline(fit) => {
+                ClosureFile::splined(name, quantity, fit, system_of, definitions.clone())
+            }
+        };
+        // Forms have symbols of their own, so a file holds one.
+        let name = match seen.len() {
+            0 => "model.toml".to_owned(),
+            _ => format!("model_{quantity}.toml"),
+        };
+        output.write(&name, |to| {
+            to.write_all(closure.to_toml().map_err(io::Error::other)?.as_bytes())
+        })?;
+        seen.push(quantity);
+    }
+    output.write(RUN_FILE, |file| Ok(serde_json::to_writer_pretty(file, found)?))?;
+    Ok(())
 }
 
 /// Speed against error in `output`, which the caller commits: error.csv, a figure per quantity and
@@ -400,7 +443,8 @@ fn export(
     output.write("signals.csv", |file| write_signals(boxes, file).map_err(io::Error::other))?;
     if let Some(model) = model {
         output.write("model.toml", |file| {
-            let text = ClosureFile::fitted(model).to_toml().map_err(io::Error::other)?;
+            let text =
+                ClosureFile::fitted(model, &SaturatingDrag).to_toml().map_err(io::Error::other)?;
             file.write_all(text.as_bytes())
         })?;
         let mut rows = closure_rows(model, &case.filter.widths);
