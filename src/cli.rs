@@ -224,7 +224,7 @@ pub struct Filter {
 /// `favre fit`.
 #[derive(Args, Debug)]
 pub struct Fit {
-    /// Folders of runs of one powder, or their sums.favre
+    /// Folders of runs of one powder, their sums.favre or bins.csv
     #[arg(value_name = "RUN", required = true)]
     pub paths: Vec<PathBuf>,
     /// Forms by name, or a file with one's own
@@ -253,9 +253,13 @@ pub struct Fit {
 /// `favre exponents`.
 #[derive(Args, Debug)]
 pub struct Exponents {
-    /// Folders of runs, each of one powder, or their sums.favre
+    /// Folders of runs, each of one powder, their sums.favre or bins.csv
     #[arg(value_name = "RUN", required = true)]
     pub paths: Vec<PathBuf>,
+    /// Bootstrap replicates; 0 for errors of one fit
+    #[arg(long, value_name = "N", default_value = "100",
+        value_parser = clap::value_parser!(u16).range(0..=10000))]
+    pub replicates: u16,
     /// Print what was found as JSON
     #[arg(long)]
     pub json: bool,

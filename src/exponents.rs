@@ -8,10 +8,12 @@
 //! its mean): n_1 = 0 is the hypothesis, and it is doubted where its 95 % interval leaves zero out; n that
 //! moves from -2/3 towards 0 with the filter has n_1 > 0. The mean is over the rows fitted.
 //!
-//! Intervals are those of weighted least squares with errors as large as the misfit asks; bins of one run
-//! err together, which they do not know.
+//! Intervals are those of weighted least squares with errors as large as the misfit asks. Bins of one run
+//! err together, which they do not know: where the exponents of replicates of all bins
+//! ([`replicates`](crate::replicates)) scatter more than that, the error is their scatter.
 
 use crate::fit::student_quantile;
+use crate::replicates::standard_deviation;
 use crate::table::BinRow;
 use faer::linalg::solvers::SolveLstsq;
 use faer::{Col, Mat};
@@ -36,6 +38,20 @@ impl Exponent {
         let standard_error = variance.max(0.0).sqrt();
         let half = student_quantile(degrees_of_freedom) * standard_error;
         Self { value, standard_error, low_95: value - half, high_95: value + half }
+    }
+
+    /// With the scatter of its replicates, if that is larger.
+    fn widened(self, replicates: &[f64]) -> Self {
+        let scatter = if replicates.len() < 2 { 0.0 } else { standard_deviation(replicates) };
+        if scatter <= self.standard_error {
+            return self;
+        }
+        let Self { value, low_95, high_95, .. } = self;
+        // The quantile of Student's t stays that of the degrees of freedom.
+        let wider = scatter / self.standard_error.max(f64::MIN_POSITIVE);
+        let (low_95, high_95) =
+            (value + wider * (low_95 - value), value + wider * (high_95 - value));
+        Self { value, standard_error: scatter, low_95, high_95 }
     }
 
     /// Whether a number is in the interval.
@@ -333,6 +349,31 @@ pub fn power_law(rows: &[BinRow], quantity: &str) -> Result<PowerLaw, ExponentEr
     })
 }
 
+impl Collapse {
+    /// With errors no smaller than the scatter of what was found in replicates.
+    pub fn widened(mut self, replicates: &[Collapse]) -> Self {
+        let of = |exponent: fn(&Collapse) -> Exponent| -> Vec<f64> {
+            replicates.iter().map(|found| exponent(found).value).collect()
+        };
+        self.constant = self.constant.widened(&of(|found| found.constant));
+        self.middle = self.middle.widened(&of(|found| found.middle));
+        self.shift = self.shift.widened(&of(|found| found.shift));
+        self
+    }
+}
+
+impl PowerLaw {
+    /// With errors no smaller than the scatter of what was found in replicates.
+    pub fn widened(mut self, replicates: &[PowerLaw]) -> Self {
+        let widths: Vec<f64> = replicates.iter().map(|found| found.width.value).collect();
+        self.width = self.width.widened(&widths);
+        let shears: Vec<f64> =
+            replicates.iter().filter_map(|found| Some(found.shear?.value)).collect();
+        self.shear = self.shear.map(|shear| shear.widened(&shears));
+        self
+    }
+}
+
 impl fmt::Display for Collapse {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { quantity, points, constant, reduced_chi_squared, middle, shift, widths } = self;
@@ -419,6 +460,22 @@ mod tests {
         }
         assert!((89..=100).contains(&held), "{held} of 100 intervals hold");
         assert!(wrongly <= 11 && doubted >= 95, "doubted {wrongly} and {doubted} of 100 times");
+    }
+
+    #[test]
+    fn errors_are_no_smaller_than_the_scatter_of_replicates() {
+        let one = found(&planted([-0.4, 0.0], 0.005, 1));
+        let others: Vec<Collapse> =
+            (2..20).map(|seed| found(&planted([-0.4, 0.0], 0.05, seed))).collect();
+        let wider = one.clone().widened(&others);
+        let values: Vec<f64> = others.iter().map(|other| other.constant.value).collect();
+        assert_eq!(wider.constant.standard_error, standard_deviation(&values));
+        assert!(wider.constant.standard_error > 4.0 * one.constant.standard_error);
+        let half = |e: Exponent| e.high_95 - e.value;
+        let ratio = half(wider.constant) / half(one.constant);
+        let errors = wider.constant.standard_error / one.constant.standard_error;
+        assert!((ratio / errors - 1.0).abs() < 1e-9, "{ratio} {errors}");
+        assert_eq!(one.clone().widened(&[]).constant.high_95, one.constant.high_95);
     }
 
     #[test]

@@ -80,6 +80,19 @@ pub enum FitError {
         /// Its value.
         value: f64,
     },
+    /// Rows whose reference lengths differ.
+    #[error(
+        "row {row}: filter_width over filter_width/L_I is {found:e} m, in row 1 it is {first:e} m: a column \
+         is in another unit, or rows of several powders are mixed; fit rows of one, in SI"
+    )]
+    OtherScale {
+        /// Row, counted from 1.
+        row: usize,
+        /// L_I there \[m\].
+        found: f64,
+        /// L_I of the first row \[m\].
+        first: f64,
+    },
     /// Fewer rows than parameters plus two.
     #[error(
         "{found} rows with a finite standard error, {needed} are needed to fit {parameters} \
@@ -221,6 +234,10 @@ const LOOSE: f64 = 1.0;
 /// factor of seven.
 const FAR: f64 = 1.96 * LOOSE;
 
+/// Standard error in a free coordinate below which nothing [`FAR`] away needs to be asked: it would be
+/// refuted twentyfold.
+const TIGHT: f64 = 0.1 * LOOSE;
+
 /// Distance in σ beyond which a row counts by its distance only.
 const ROBUST: f64 = 3.0;
 
@@ -261,7 +278,11 @@ pub fn fit_from(
     reference_length: ReferenceLength,
     start: Option<&[f64]>,
 ) -> Result<Fit, FitError> {
-    check(form, rows, reference_length)?;
+    if let Some(row) = rows.iter().position(|row| row.quantity != form.quantity()) {
+        let (found, expected) = (rows[row].quantity.clone(), form.quantity());
+        return Err(FitError::OtherQuantity { row: row + 1, found, expected });
+    }
+    check_rows(rows, reference_length)?;
     let parameters = form.parameters();
     let scaled;
     let rows = if form.unit() == "-" {
@@ -322,10 +343,7 @@ pub fn fit_from(
     let widths: Vec<f64> = used.iter().map(|r| reference_length.scaled_width(r)).collect();
     let (narrowest, widest) = (widths[0], widths[widths.len() - 1]);
     if narrowest == widest {
-        notes.push(format!(
-            "All rows have one filter width, {narrowest} reference lengths: the closure holds at \
-             that width only."
-        ));
+        notes.push(one_width(narrowest));
     }
     let ranges = form
         .markers()
@@ -378,7 +396,7 @@ pub fn fit_from(
         let correlation = problem.neighbour_correlation(&free, &widths);
         let errors = problem.free_errors(&free, correlation);
         let loose = errors.loose.iter().rposition(|&loose| loose);
-        let Some(loose) = loose.or_else(|| problem.open(&free, correlation)) else {
+        let Some(loose) = loose.or_else(|| problem.open(&free, &errors, correlation)) else {
             let covariance = errors.covariance;
             break Solution { free, covariance, correlation, sampling_chi_squared };
         };
@@ -419,17 +437,19 @@ pub fn marker_of(row: &BinRow, marker: Marker, reference_length: ReferenceLength
     }
 }
 
-/// Refuses rows of another quantity and impossible numbers.
-fn check(
-    form: &dyn ClosureForm,
+/// What rows of one scaled filter width mean.
+pub(crate) fn one_width(width: f64) -> String {
+    format!(
+        "All rows have one filter width, {width} reference lengths: the closure holds at that width only."
+    )
+}
+
+/// Refuses impossible numbers.
+pub(crate) fn check_rows(
     rows: &[BinRow],
     reference_length: ReferenceLength,
 ) -> Result<(), FitError> {
     for (i, row) in rows.iter().enumerate() {
-        if row.quantity != form.quantity() {
-            let (found, expected) = (row.quantity.clone(), form.quantity());
-            return Err(FitError::OtherQuantity { row: i + 1, found, expected });
-        }
         let width = reference_length.scaled_width(row);
         let checks = [
             ("filter_width", width, width > 0.0 && width.is_finite()),
@@ -443,6 +463,11 @@ fn check(
             if !good {
                 return Err(FitError::BadNumber { row: i + 1, column, value });
             }
+        }
+        let length = |row: &BinRow| row.filter_width / row.filter_width_l_i;
+        let (found, first) = (length(row), length(&rows[0]));
+        if (found / first - 1.0).abs() > 0.01 {
+            return Err(FitError::OtherScale { row: i + 1, found, first });
         }
     }
     Ok(())
@@ -559,12 +584,10 @@ impl LeastSquares {
         for i in 0..self.values.len() {
             self.form.gradient(&parameters, self.markers(i), &mut gradient);
             let far = self.distance(&parameters, i).abs();
-            let weight =
-                if far > ROBUST { (ROBUST / (2.0 * far - ROBUST)).sqrt() } else { 1.0 };
+            let weight = if far > ROBUST { (ROBUST / (2.0 * far - ROBUST)).sqrt() } else { 1.0 };
             for (j, &k) in self.fitted.iter().enumerate() {
                 let bounds = self.form.parameters()[k].bounds;
-                slopes[(i, j)] =
-                    weight * gradient[k] * bounds.slope(parameters[k]) / self.sigma(i);
+                slopes[(i, j)] = weight * gradient[k] * bounds.slope(parameters[k]) / self.sigma(i);
             }
         }
         slopes
@@ -626,13 +649,14 @@ impl LeastSquares {
 
     /// The last of the fitted parameters that may as well be [`FAR`] from where it is: with all others
     /// fitted again, χ² rises by less than what 95 % and the correlation of neighbours ask.
-    fn open(&self, free: &[f64], correlation: f64) -> Option<usize> {
+    fn open(&self, free: &[f64], errors: &FreeErrors, correlation: f64) -> Option<usize> {
         if self.fitted.len() < 2 {
             return None;
         }
         let enough = INDIFFERENT * inflation(correlation);
         let here = self.chi_squared(free);
-        (0..free.len()).rev().find(|&j| {
+        let loosely = |j: &usize| errors.covariance[(*j, *j)].sqrt() > TIGHT;
+        (0..free.len()).rev().filter(loosely).find(|&j| {
             let k = self.fitted[j];
             let bounds = self.form.parameters()[k].bounds;
             [-FAR, FAR].into_iter().any(|step| {
@@ -1124,10 +1148,12 @@ pub(crate) mod tests {
         const REPLICAS: u64 = 300;
         for form in FORMS {
             let exact = off_defaults(form);
+            // The planted values are not told to the fit.
+            let defaults: Vec<f64> = form.parameters().iter().map(|p| p.default).collect();
             let mut covered = vec![0; exact.len()];
             for seed in 0..REPLICAS {
                 let rows = planted(form, &exact, 0.02, 1000 + seed);
-                let found = fit(form, &rows, ReferenceLength::One).unwrap();
+                let found = fit_from(form, &rows, ReferenceLength::One, Some(&defaults)).unwrap();
                 for (k, c) in found.coefficients.iter().enumerate() {
                     covered[k] += u64::from(c.low_95 <= exact[k] && exact[k] <= c.high_95);
                 }

@@ -6,8 +6,8 @@ use favre::forms::{FORMS, UserForm, form};
 use favre::output::Output;
 use favre::pipeline;
 use favre::pool::Pool;
-use favre::refit::{Candidate, Shape, refit};
-use favre::table::BinRow;
+use favre::refit::{Bins, Candidate, Shape, refit};
+use favre::table::{BinRow, read_bins};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -41,19 +41,53 @@ fn shape(name: &str) -> Result<Shape, Failure> {
     Ok(Shape::Form(form))
 }
 
+/// Whether a path is of a bin table and not of a run.
+fn is_table(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "csv")
+}
+
 /// `favre fit`.
 pub fn fit(args: &cli::Fit) -> Result<(), Failure> {
     let shapes: Vec<Shape> =
         args.form.iter().map(|name| shape(name)).collect::<Result<_, Failure>>()?;
-    let pool = Pool::read(&args.paths, None).map_err(Failure::misuse)?;
+    let count = usize::from(args.replicates);
+    let (bins, system, name) = if args.paths.iter().all(|path| is_table(path)) {
+        let tables: Vec<Vec<BinRow>> = args
+            .paths
+            .iter()
+            .map(|path| read_bins(path))
+            .collect::<Result<_, _>>()
+            .map_err(Failure::misuse)?;
+        (Bins::of_tables(tables, count, SEED), None, "bins".to_owned())
+    } else if let Some(table) = args.paths.iter().find(|path| is_table(path)) {
+        let table = table.display();
+        let message = format!("{table} is a bin table, and others are runs: give one or the other");
+        return Err(Failure::misuse(message));
+    } else {
+        let file = Pool::read(&args.paths, None).map_err(Failure::misuse)?.file;
+        let name = file.runs.first().map_or("fit", |run| run.name.as_str()).to_owned();
+        let bins = Bins::of_runs(&file.runs, &file.system.scales(), count, SEED);
+        (bins.map_err(Failure::misuse)?, Some(file.system), name)
+    };
+    let mut found: Vec<Candidate> = Vec::new();
+    let mut refused: Vec<String> = Vec::new();
+    for shape in shapes {
+        match refit(&bins, shape) {
+            Ok(candidate) => found.push(candidate),
+            Err(why) => refused.push(why.to_string()),
+        }
+    }
+    if found.is_empty() {
+        return Err(Failure::misuse(refused.join("; ")));
+    }
     let dir = args.out.as_deref().unwrap_or(Path::new("favre-out/fit"));
     let output = Output::create(dir, args.force).map_err(Failure::misuse)?;
-    let scales = pool.file.system.scales();
-    let count = usize::from(args.replicates);
-    let found = refit(&pool.file.runs, &shapes, &scales, count, SEED).map_err(Failure::misuse)?;
-    pipeline::fitted(&pool, &found, &output).map_err(Failure::failed)?;
+    pipeline::fitted(&name, system.as_ref(), &found, &output).map_err(Failure::failed)?;
     let dir = output.commit().map_err(Failure::failed)?;
     say(format_args!("favre: the closure is in {}", dir.display()));
+    for why in refused {
+        say(format_args!("favre: not fitted: {why}"));
+    }
     if args.json {
         return print_json(&found);
     }
@@ -93,26 +127,59 @@ impl std::fmt::Display for Found {
     }
 }
 
+/// The bins of a path with replicates, and Fr_p.
+fn powder(path: &Path, count: usize) -> Result<(f64, Bins), Failure> {
+    if is_table(path) {
+        let rows = read_bins(path).map_err(Failure::misuse)?;
+        // L_I/L_II = Fr_p^(2/3).
+        let froude = rows
+            .first()
+            .map_or(f64::NAN, |row| (row.filter_width_l_ii / row.filter_width_l_i).powf(1.5));
+        return Ok((froude, Bins::of_tables(vec![rows], count, SEED)));
+    }
+    let file = Pool::read(&[path.to_owned()], None).map_err(Failure::misuse)?.file;
+    let scales = file.system.scales();
+    let bins = Bins::of_runs(&file.runs, &scales, count, SEED).map_err(Failure::misuse)?;
+    Ok((scales.froude, bins))
+}
+
 /// `favre exponents`.
 pub fn exponents(args: &cli::Exponents) -> Result<(), Failure> {
-    let mut runs: Vec<(f64, Vec<BinRow>)> = Vec::new();
+    let count = usize::from(args.replicates);
     let mut found = Found { collapses: Vec::new(), power_laws: Vec::new(), unanswered: Vec::new() };
+    let mut powders: Vec<(f64, Bins)> = Vec::new();
     for path in &args.paths {
-        let pool = Pool::read(std::slice::from_ref(path), None).map_err(Failure::misuse)?;
+        let (froude, bins) = powder(path, count)?;
         for quantity in STRESSES {
-            match power_law(&pool.bins, quantity) {
-                Ok(law) => found.power_laws.push((path.clone(), law)),
-                Err(error) => found.unanswered.push(format!("{}: {error}", path.display())),
+            let again = (0..count).filter_map(|k| power_law(bins.replicate(k), quantity).ok());
+            match power_law(&bins.rows, quantity) {
+                Ok(law) => {
+                    let law = law.widened(&again.collect::<Vec<PowerLaw>>());
+                    found.power_laws.push((path.clone(), law));
+                }
+                Err(why) => found.unanswered.push(format!("{}: {why}", path.display())),
             }
         }
-        runs.push((pool.file.system.scales().froude, pool.bins));
+        powders.push((froude, bins));
     }
-    let runs: Vec<(f64, &[BinRow])> =
-        runs.iter().map(|(froude, rows)| (*froude, &rows[..])).collect();
+    let collapsed = |quantity: &str, rows: &dyn Fn(&'_ Bins) -> Vec<BinRow>| {
+        let of = |(froude, bins): &(f64, Bins)| (*froude, rows(bins));
+        let tables: Vec<(f64, Vec<BinRow>)> = powders.iter().map(of).collect();
+        let tables: Vec<(f64, &[BinRow])> =
+            tables.iter().map(|(froude, rows)| (*froude, &rows[..])).collect();
+        collapse(&tables, quantity)
+    };
     for quantity in SCALED {
-        match collapse(&runs, quantity) {
-            Ok(collapse) => found.collapses.push(collapse),
-            Err(error) => found.unanswered.push(error.to_string()),
+        let only = |rows: &[BinRow]| -> Vec<BinRow> {
+            rows.iter().filter(|row| row.quantity == quantity).cloned().collect()
+        };
+        match collapsed(quantity, &|bins| only(&bins.rows)) {
+            Ok(one) => {
+                let again =
+                    (0..count).filter_map(|k| collapsed(quantity, &|b| only(b.replicate(k))).ok());
+                found.collapses.push(one.widened(&again.collect::<Vec<Collapse>>()));
+            }
+            Err(why) => found.unanswered.push(why.to_string()),
         }
     }
     if args.json { print_json(&found) } else { print(&found) }

@@ -3,22 +3,41 @@
 //!
 //! - **Intervals.** Every form is fitted again to each bootstrap replicate of the whole bin table
 //!   ([`replicates`](crate::replicates)), so that the correlation of bins is in them; ends are the 2.5 and
-//!   97.5 % quantiles over replicates, and the covariance of the coefficients is theirs.
+//!   97.5 % quantiles over replicates, of each coefficient and of each point of the curve. A coefficient
+//!   that one replicate in twenty or more does not fix has no interval: the data do not fix it.
 //! - **Scores.** Each run is left out once: the form is fitted to the bins of the others and compared with
 //!   those of the one, a bin counting as many times as filter positions fell into it. The score is
 //!   1 - Σ n (value - predicted)²/Σ n (value - mean)². Runs of one mean fraction held out against others
 //!   ask more of a form than bins held out would: they see another box.
+//! - **Tables alone.** Bin tables without the sums behind them are drawn again from their standard errors,
+//!   bin by bin; what bins share is not in such intervals, which a note says. Each table is a run.
 
-use crate::fit::{Fit, FitError, ReferenceLength, fit, fit_from, marker_of};
-use crate::forms::{ClosureForm, Marker};
+use crate::fit::{
+    Coefficient, Fit, FitError, Goodness, ReferenceLength, ValidRange, fit, fit_from, marker_of,
+    one_width, student_quantile,
+};
+use crate::forms::ClosureForm;
 use crate::laws::scales::Scales;
 use crate::replicates::{ReplicateError, replicate, standard_deviation};
-use crate::spline::{SplineFit, fit_spline};
+use crate::spline::{CEILING, SplineFit, fit_spline};
 use crate::statistics::{MergeError, Sums, bin_table_among};
 use crate::sums::RunSums;
 use crate::table::BinRow;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
 use serde::Serialize;
 use std::fmt;
+
+/// Replicates below which quantiles over them mean nothing.
+const FEWEST: usize = 40;
+
+/// Share of replicates that may leave a coefficient open which the data are said to fix.
+const OPEN: f64 = 0.05;
+
+/// Formula of a surface, for the reader.
+const SURFACE: &str = "H = sum of c_ij N_i(x) N_j(y), x = ln(1 + phi/phi_0), y = D/(D + D_0); quadratic \
+                       B-splines, 0 at phi = 0 and D = 0, never less for a wider filter; \
+                       D = filter_width/L";
 
 /// What can be fitted.
 #[derive(Clone, Copy, Debug)]
@@ -74,51 +93,118 @@ pub enum Fitted {
 }
 
 impl Fitted {
-    /// Scaled value at the markers of a row, moved into the ranges of the fit.
-    fn at(&self, row: &BinRow) -> f64 {
+    /// Scaled value at `markers`, in the order of [`ranges`](Self::ranges), each moved into its range.
+    pub fn at(&self, markers: &[f64]) -> f64 {
+        let ends = self.ranges().iter().zip(markers);
+        let moved: Vec<f64> = ends.map(|(range, x)| x.clamp(range.low, range.high)).collect();
         match self {
             Self::Form(fit) => {
                 let values: Vec<f64> = fit.coefficients.iter().map(|c| c.value).collect();
-                let ranges = fit.ranges.iter();
-                let markers: Vec<f64> = ranges
-                    .map(|range| {
-                        let marker = marker_of(row, range.marker, fit.reference_length);
-                        marker.clamp(range.low, range.high)
-                    })
-                    .collect();
-                fit.form.predict(&values, &markers)
+                fit.form.predict(&values, &moved)
             }
-            Self::Spline(fit) => {
-                let width = marker_of(row, Marker::FilterWidth, fit.reference_length);
-                fit.spline.at(row.solids_fraction, width)
-            }
+            Self::Spline(fit) => fit.spline.at(moved[0], moved[1]),
         }
     }
 
-    /// 1 - Σ (residual/σ)²/Σ ((value - mean)/σ)² over the rows fitted \[-\].
-    pub fn r_squared(&self) -> f64 {
+    fn at_row(&self, row: &BinRow) -> f64 {
+        let of = |range: &ValidRange| marker_of(row, range.marker, self.reference_length());
+        let markers: Vec<f64> = self.ranges().iter().map(of).collect();
+        self.at(&markers)
+    }
+
+    /// Name of the shape.
+    pub fn name(&self) -> &'static str {
         match self {
-            Self::Form(fit) => fit.goodness.r_squared,
-            Self::Spline(fit) => fit.r_squared,
+            Self::Form(fit) => fit.form.name(),
+            Self::Spline(_) => Shape::Spline.name(),
+        }
+    }
+
+    /// The formula, for the reader.
+    pub fn formula(&self) -> &'static str {
+        match self {
+            Self::Form(fit) => fit.form.formula(),
+            Self::Spline(_) => SURFACE,
+        }
+    }
+
+    /// Quantity described.
+    pub fn quantity(&self) -> &'static str {
+        match self {
+            Self::Form(fit) => fit.form.quantity(),
+            Self::Spline(_) => Shape::Spline.quantity(),
+        }
+    }
+
+    /// What a value is scaled by; `-` for a number.
+    pub fn unit(&self) -> &'static str {
+        match self {
+            Self::Form(fit) => fit.form.unit(),
+            Self::Spline(_) => "-",
+        }
+    }
+
+    /// Smallest and largest value.
+    fn image(&self) -> (f64, f64) {
+        match self {
+            Self::Form(fit) => fit.form.image(),
+            Self::Spline(_) => (0.0, CEILING),
+        }
+    }
+
+    /// What Δ_f is scaled by.
+    pub fn reference_length(&self) -> ReferenceLength {
+        match self {
+            Self::Form(fit) => fit.reference_length,
+            Self::Spline(fit) => fit.reference_length,
+        }
+    }
+
+    /// Range of each marker that the bins cover.
+    pub fn ranges(&self) -> &[ValidRange] {
+        match self {
+            Self::Form(fit) => &fit.ranges,
+            Self::Spline(fit) => &fit.ranges,
+        }
+    }
+
+    /// How well it follows the bins.
+    pub fn goodness(&self) -> &Goodness {
+        match self {
+            Self::Form(fit) => &fit.goodness,
+            Self::Spline(fit) => &fit.goodness,
+        }
+    }
+
+    /// Coefficients; none of a surface.
+    pub fn coefficients(&self) -> &[Coefficient] {
+        match self {
+            Self::Form(fit) => &fit.coefficients,
+            Self::Spline(_) => &[],
+        }
+    }
+
+    /// Their covariance.
+    pub fn covariance(&self) -> &[Vec<f64>] {
+        match self {
+            Self::Form(fit) => &fit.covariance,
+            Self::Spline(_) => &[],
         }
     }
 }
 
-/// A coefficient with its interval from replicates.
-#[derive(Clone, Debug, Serialize)]
-pub struct Interval {
-    /// Symbol in the formula.
-    pub symbol: String,
+/// A value with its error.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
     /// Value.
     pub value: f64,
-    /// Standard deviation over replicates; 0 if it was held.
+    /// Standard error: that of the bins. What the form itself cannot follow is not in it; that is
+    /// `goodness.extra_scatter`.
     pub standard_error: f64,
-    /// 2.5 % quantile over replicates.
+    /// Lower end of the 95 % interval, cut at the smallest value possible.
     pub low_95: f64,
-    /// 97.5 % quantile.
+    /// Upper end of the 95 % interval, cut at the largest value possible.
     pub high_95: f64,
-    /// Whether the data did not fix it.
-    pub held: bool,
 }
 
 /// What was found of one shape.
@@ -135,7 +221,7 @@ pub struct Candidate {
     /// Score on runs left out \[-\]; none if there is one run only, or a part could not be fitted.
     pub held_out: Option<f64>,
     /// Coefficients; none for a surface.
-    pub coefficients: Vec<Interval>,
+    pub coefficients: Vec<Coefficient>,
     /// Replicates that could be fitted.
     pub replicates: usize,
     /// What a user must know.
@@ -143,18 +229,103 @@ pub struct Candidate {
     /// The fit, its errors and covariance those of the replicates.
     #[serde(skip)]
     pub fitted: Fitted,
+    /// The fits of the replicates.
+    #[serde(skip)]
+    pub again: Vec<Fitted>,
+}
+
+impl Candidate {
+    /// Of a fit, the fits of its replicates and its score; with fewer than 40 replicates errors are
+    /// those of the one fit.
+    pub fn new(mut fitted: Fitted, again: Vec<Fitted>, held_out: Option<f64>) -> Self {
+        let notes = match &mut fitted {
+            Fitted::Form(fit) => {
+                take_errors(fit, &again);
+                fit.notes.clone()
+            }
+            Fitted::Spline(fit) => {
+                let share = 100.0 * fit.inside;
+                let mut notes =
+                    vec![format!("{share:.1} % of the bins' 95 % intervals hold the surface.")];
+                let widths = fit.ranges[1];
+                if widths.low > 0.0 {
+                    notes.push(one_width(widths.high));
+                }
+                notes
+            }
+        };
+        Self {
+            name: fitted.name(),
+            quantity: fitted.quantity(),
+            points: fitted.goodness().points,
+            r_squared: fitted.goodness().r_squared,
+            held_out,
+            coefficients: fitted.coefficients().to_vec(),
+            replicates: again.len(),
+            notes,
+            fitted,
+            again,
+        }
+    }
+
+    /// The value at `markers` with its error: quantiles over the replicates; without them, of a form,
+    /// the variance gᵀ C g, g the gradient by the coefficients and C their covariance. A surface without
+    /// replicates has the errors of nothing: not a number.
+    pub fn estimate(&self, markers: &[f64]) -> Estimate {
+        let value = self.fitted.at(markers);
+        let (least, greatest) = self.fitted.image();
+        if self.again.len() >= FEWEST {
+            let mut values: Vec<f64> = self.again.iter().map(|fit| fit.at(markers)).collect();
+            let standard_error = standard_deviation(&values);
+            let [low, high] = ends(&mut values);
+            let (low_95, high_95) = (low.min(value).max(least), high.max(value).min(greatest));
+            return Estimate { value, standard_error, low_95, high_95 };
+        }
+        let Fitted::Form(fit) = &self.fitted else {
+            let nan = f64::NAN;
+            return Estimate { value, standard_error: nan, low_95: nan, high_95: nan };
+        };
+        let values: Vec<f64> = fit.coefficients.iter().map(|c| c.value).collect();
+        let ranges = fit.ranges.iter().zip(markers);
+        let moved: Vec<f64> = ranges.map(|(range, x)| x.clamp(range.low, range.high)).collect();
+        let mut gradient = vec![0.0; values.len()];
+        fit.form.gradient(&values, &moved, &mut gradient);
+        let mut variance = 0.0;
+        for (row, a) in fit.covariance.iter().zip(&gradient) {
+            for (covariance, b) in row.iter().zip(&gradient) {
+                variance += a * covariance * b;
+            }
+        }
+        // Round-off can leave a variance of zero slightly negative.
+        let standard_error = variance.max(0.0).sqrt();
+        let half = student_quantile(fit.goodness.degrees_of_freedom) * standard_error;
+        let (low_95, high_95) = ((value - half).max(least), (value + half).min(greatest));
+        Estimate { value, standard_error, low_95, high_95 }
+    }
+}
+
+/// 2.5 and 97.5 % quantiles; sorts.
+fn ends(values: &mut [f64]) -> [f64; 2] {
+    values.sort_by(f64::total_cmp);
+    let quantile = |share: f64| {
+        let place = share * (values.len() - 1) as f64;
+        let (low, part) = (values[place as usize], place.fract());
+        let high = values[(place.ceil() as usize).min(values.len() - 1)];
+        low + part * (high - low)
+    };
+    [quantile(0.025), quantile(0.975)]
 }
 
 /// Fits that could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum RefitError {
     /// A shape cannot be fitted.
-    #[error("{shape}: {source}")]
+    #[error("{shape}: {why}")]
     Fit {
         /// The shape.
         shape: &'static str,
         /// Why.
-        source: FitError,
+        why: FitError,
     },
     /// The runs do not fit together.
     #[error(transparent)]
@@ -164,112 +335,160 @@ pub enum RefitError {
     Replicate(#[from] ReplicateError),
 }
 
-/// Fits `shapes` to `runs`, with intervals from `count` replicates drawn from `seed`.
-///
-/// # Errors
-/// [`RefitError`] if the runs do not fit together, or a shape cannot be fitted to all of them.
-pub fn refit(
-    runs: &[RunSums],
-    shapes: &[Shape],
-    scales: &Scales,
-    count: usize,
-    seed: u64,
-) -> Result<Vec<Candidate>, RefitError> {
-    let sums: Vec<&Sums> = runs.iter().map(|run| &run.sums).collect();
-    let fractions: Vec<f64> = runs.iter().map(|run| run.solids_fraction).collect();
-    let replicates = replicate(&sums, &fractions, scales, count, seed)?;
-    let tables: Vec<Vec<BinRow>> = (0..count).map(|k| replicates.table(k)).collect();
-    // Each run's bins, and those of the others.
-    let mut parts = Vec::new();
-    for held in 0..if runs.len() > 1 { runs.len() } else { 0 } {
-        let mut others = sums.clone();
-        let one = [others.remove(held)];
-        let trained = bin_table_among(&others, &sums, scales)?;
-        parts.push((trained, bin_table_among(&one, &sums, scales)?));
-    }
-    let mut candidates = Vec::new();
-    for &shape in shapes {
-        let source = |source| RefitError::Fit { shape: shape.name(), source };
-        let of = |rows: &[BinRow]| -> Vec<BinRow> {
-            rows.iter().filter(|row| row.quantity == shape.quantity()).cloned().collect()
-        };
-        let mut fitted = shape.fit(&of(&replicates.rows), None).map_err(source)?;
-        let again: Vec<Fitted> =
-            tables.iter().filter_map(|rows| shape.fit(&of(rows), Some(&fitted)).ok()).collect();
-        let held_out = score(shape, &parts, &of);
-        let (points, notes) = match &fitted {
-            Fitted::Form(fit) => (fit.goodness.points, fit.notes.clone()),
-            Fitted::Spline(fit) => {
-                let share = 100.0 * fit.inside;
-                let note = format!("{share:.1} % of the bins' 95 % intervals hold the surface.");
-                (fit.points, vec![note])
-            }
-        };
-        if let Fitted::Form(fit) = &mut fitted {
-            take_errors(fit, &again);
-        }
-        let coefficients = match &fitted {
-            Fitted::Form(fit) => fit.coefficients.iter().map(interval).collect(),
-            Fitted::Spline(_) => Vec::new(),
-        };
-        candidates.push(Candidate {
-            name: shape.name(),
-            quantity: shape.quantity(),
-            points,
-            r_squared: fitted.r_squared(),
-            held_out,
-            coefficients,
-            replicates: again.len(),
-            notes,
-            fitted,
-        });
-    }
-    Ok(candidates)
+/// Bins of several runs, ready to be fitted.
+#[derive(Clone, Debug)]
+pub struct Bins {
+    /// Of all runs together.
+    pub rows: Vec<BinRow>,
+    /// Replicates of them.
+    replicates: Vec<Vec<BinRow>>,
+    /// For each run left out those of the others, and its own.
+    parts: Vec<(Vec<BinRow>, Vec<BinRow>)>,
+    /// What is to be known of the replicates.
+    note: Option<String>,
 }
 
-fn interval(c: &crate::fit::Coefficient) -> Interval {
-    Interval {
-        symbol: c.symbol.clone(),
-        value: c.value,
-        standard_error: c.standard_error,
-        low_95: c.low_95,
-        high_95: c.high_95,
-        held: c.held,
+impl Bins {
+    /// The bins of `runs`, with `count` replicates drawn from `seed`. Runs that are too short to be
+    /// resampled are drawn from their standard errors.
+    ///
+    /// # Errors
+    /// [`RefitError`] if the runs do not fit together.
+    pub fn of_runs(
+        runs: &[RunSums],
+        scales: &Scales,
+        count: usize,
+        seed: u64,
+    ) -> Result<Self, RefitError> {
+        let sums: Vec<&Sums> = runs.iter().map(|run| &run.sums).collect();
+        let fractions: Vec<f64> = runs.iter().map(|run| run.solids_fraction).collect();
+        let mut bins = match replicate(&sums, &fractions, scales, count, seed) {
+            Ok(found) => {
+                let replicates = (0..count).map(|k| found.table(k)).collect();
+                Self { rows: found.rows, replicates, parts: Vec::new(), note: None }
+            }
+            Err(error @ ReplicateError::TooShort { .. }) => {
+                let rows = bin_table_among(&sums, &sums, scales)?;
+                let note = Some(format!("{error}; {NOISE}"));
+                Self { replicates: drawn(&rows, count, seed), rows, parts: Vec::new(), note }
+            }
+            Err(error) => return Err(error.into()),
+        };
+        for held in 0..if runs.len() > 1 { runs.len() } else { 0 } {
+            let mut others = sums.clone();
+            let one = [others.remove(held)];
+            let trained = bin_table_among(&others, &sums, scales)?;
+            bins.parts.push((trained, bin_table_among(&one, &sums, scales)?));
+        }
+        Ok(bins)
     }
+
+    /// Replicate number `replicate` of the rows.
+    pub fn replicate(&self, replicate: usize) -> &[BinRow] {
+        &self.replicates[replicate]
+    }
+
+    /// Bin tables, one of each run, with `count` replicates drawn from their standard errors.
+    pub fn of_tables(tables: Vec<Vec<BinRow>>, count: usize, seed: u64) -> Self {
+        let parts = match tables.len() {
+            0 | 1 => Vec::new(),
+            several => (0..several)
+                .map(|held| {
+                    let others = tables.iter().enumerate().filter(|(k, _)| *k != held);
+                    (others.flat_map(|(_, rows)| rows.clone()).collect(), tables[held].clone())
+                })
+                .collect(),
+        };
+        let rows: Vec<BinRow> = tables.into_iter().flatten().collect();
+        let note = Some(format!("Bin tables do not say what bins share; {NOISE}"));
+        Self { replicates: drawn(&rows, count, seed), rows, parts, note }
+    }
+}
+
+/// What it means that replicates are drawn from standard errors.
+const NOISE: &str = "intervals take each bin's standard error as its own, and are too narrow by what bins \
+                     share: give folders of longer runs.";
+
+/// Replicates of rows by normal numbers of their standard errors.
+fn drawn(rows: &[BinRow], count: usize, seed: u64) -> Vec<Vec<BinRow>> {
+    let mut random = Pcg64Mcg::seed_from_u64(seed);
+    let mut table = || -> Vec<BinRow> {
+        let draw = |row: &BinRow| {
+            let (u, v): (f64, f64) = (random.random(), random.random());
+            let normal = (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos();
+            let error = if row.standard_error.is_finite() { row.standard_error } else { 0.0 };
+            let shift = error * normal;
+            let scale = if row.value == 0.0 { 1.0 } else { row.value_scaled / row.value };
+            BinRow {
+                value: row.value + shift,
+                value_scaled: row.value_scaled + shift * scale,
+                low_95: row.low_95 + shift,
+                high_95: row.high_95 + shift,
+                ..row.clone()
+            }
+        };
+        rows.iter().map(draw).collect()
+    };
+    (0..count).map(|_| table()).collect()
+}
+
+/// Fits a shape to `bins`, with intervals from its replicates and its score on runs left out.
+///
+/// # Errors
+/// [`RefitError::Fit`] if it cannot be fitted to all of them.
+pub fn refit(bins: &Bins, shape: Shape) -> Result<Candidate, RefitError> {
+    let of = |rows: &[BinRow]| -> Vec<BinRow> {
+        rows.iter().filter(|row| row.quantity == shape.quantity()).cloned().collect()
+    };
+    let refused = |why| RefitError::Fit { shape: shape.name(), why };
+    let fitted = shape.fit(&of(&bins.rows), None).map_err(refused)?;
+    let tables = bins.replicates.iter();
+    let again = tables.filter_map(|rows| shape.fit(&of(rows), Some(&fitted)).ok()).collect();
+    let mut candidate = Candidate::new(fitted, again, score(shape, &bins.parts, &of));
+    candidate.notes.extend(bins.note.clone());
+    Ok(candidate)
 }
 
 /// Puts errors and covariance of the replicates into a fit.
 fn take_errors(fit: &mut Fit, again: &[Fitted]) {
-    let values: Vec<Vec<f64>> = again
-        .iter()
-        .filter_map(|fitted| match fitted {
-            Fitted::Form(fit) => Some(fit.coefficients.iter().map(|c| c.value).collect()),
-            Fitted::Spline(_) => None,
-        })
-        .collect();
-    if values.len() < 20 {
-        fit.notes.push("Too few replicates could be fitted: errors are those of one fit.".into());
+    if again.len() < FEWEST {
+        if !again.is_empty() {
+            let few = again.len();
+            let note = format!("{few} replicates could be fitted: errors are those of one fit.");
+            fit.notes.push(note);
+        }
         return;
     }
-    let count = values.len() as f64;
-    let column = |k: usize| values.iter().map(move |row| row[k]);
-    for k in 0..fit.coefficients.len() {
-        if fit.coefficients[k].held {
+    let count = again.len() as f64;
+    let column = |k: usize| again.iter().map(move |fitted| fitted.coefficients()[k].value);
+    for (k, coefficient) in fit.coefficients.iter_mut().enumerate() {
+        if coefficient.held {
             continue;
         }
-        let mut sorted: Vec<f64> = column(k).collect();
-        fit.coefficients[k].standard_error = standard_deviation(&sorted);
-        sorted.sort_by(f64::total_cmp);
-        let quantile = |share: f64| sorted[(share * (count - 1.0)).round() as usize];
+        let open = again.iter().filter(|fitted| fitted.coefficients()[k].held).count();
+        if open as f64 > OPEN * count {
+            let Coefficient { name, symbol, value, .. } = coefficient;
+            fit.notes.push(format!(
+                "The data do not fix {name} ({symbol}): {open} of {count} replicates leave it open; it \
+                 stands at {value:.4} without an interval."
+            ));
+            (coefficient.held, coefficient.standard_error) = (true, 0.0);
+            (coefficient.low_95, coefficient.high_95) = (coefficient.value, coefficient.value);
+            continue;
+        }
+        let mut values: Vec<f64> = column(k).collect();
+        coefficient.standard_error = standard_deviation(&values);
+        let [low, high] = ends(&mut values);
         // The value itself is always held.
-        let value = fit.coefficients[k].value;
-        fit.coefficients[k].low_95 = quantile(0.025).min(value);
-        fit.coefficients[k].high_95 = quantile(0.975).max(value);
+        coefficient.low_95 = low.min(coefficient.value);
+        coefficient.high_95 = high.max(coefficient.value);
+    }
+    for k in 0..fit.coefficients.len() {
         for l in 0..fit.coefficients.len() {
             let (a, b) = (column(k).sum::<f64>() / count, column(l).sum::<f64>() / count);
             let product: f64 = column(k).zip(column(l)).map(|(x, y)| (x - a) * (y - b)).sum();
-            let both = !fit.coefficients[l].held;
-            fit.covariance[k][l] = if both { product / (count - 1.0) } else { 0.0 };
+            let held = fit.coefficients[k].held || fit.coefficients[l].held;
+            fit.covariance[k][l] = if held { 0.0 } else { product / (count - 1.0) };
         }
     }
 }
@@ -285,7 +504,7 @@ fn score(
         let fitted = shape.fit(&of(others), None).ok()?;
         for row in of(one).iter().filter(|row| row.standard_error.is_finite()) {
             let value = row.value_scaled;
-            points.push([value, fitted.at(row), row.samples as f64]);
+            points.push([value, fitted.at_row(row), row.samples as f64]);
         }
     }
     let total: f64 = points.iter().map(|[.., n]| n).sum();
@@ -313,9 +532,9 @@ impl fmt::Display for Candidate {
             self.name, self.quantity, self.points, self.r_squared, held_out
         )?;
         for c in &self.coefficients {
-            let Interval { symbol, value, low_95, high_95, held, .. } = c;
+            let Coefficient { symbol, value, low_95, high_95, held, .. } = c;
             match held {
-                true => write!(f, "\n    {symbol} = {value:.4}, held")?,
+                true => write!(f, "\n    {symbol} = {value:.4}, not fixed by the data")?,
                 false => write!(f, "\n    {symbol} = {value:.4} [{low_95:.4}, {high_95:.4}]")?,
             }
         }
