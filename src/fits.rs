@@ -2,7 +2,7 @@
 
 use super::{Failure, cli, print, print_json, say, write};
 use favre::exponents::{Collapse, PowerLaw, collapse, power_law};
-use favre::forms::{FORMS, UserForm, form};
+use favre::forms::{FORMS, FormulaForm, form};
 use favre::output::Output;
 use favre::pipeline;
 use favre::pool::Pool;
@@ -37,7 +37,7 @@ fn shape(name: &str) -> Result<Shape, Failure> {
     let text = std::fs::read_to_string(path)
         .map_err(|error| Failure::misuse(format!("{name}: {error}")))?;
     let form =
-        UserForm::parse(&text).map_err(|error| Failure::misuse(format!("{name}: {error}")))?;
+        FormulaForm::parse(&text).map_err(|error| Failure::misuse(format!("{name}: {error}")))?;
     Ok(Shape::Form(form))
 }
 

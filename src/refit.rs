@@ -544,3 +544,82 @@ impl fmt::Display for Candidate {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::tests::{PLANTED, WIDTHS, synthetic};
+    use crate::forms::{FormulaForm, SaturatingDrag};
+
+    /// Grows with the filter, and knows nothing of φ.
+    const POOR: &str = "name = \"poor\"\npredicts = \"drag_correction\"\nunit = \"-\"\n\
+                        markers = [\"solids_fraction\", \"filter_width\"]\n\
+                        formula = \"a*D/(D + b)\"\n\
+                        [[parameters]]\nname = \"a\"\nstart = 0.8\nlow = 0.0\nhigh = 1.0\n\
+                        [[parameters]]\nname = \"b\"\nstart = 1.0\nlow = 0.0\n";
+
+    #[test]
+    fn tables_left_out_prefer_what_was_planted() {
+        let tables = (1..4).map(|seed| synthetic(&WIDTHS, 0.58, 0.02, seed)).collect();
+        let bins = Bins::of_tables(tables, 40, 1);
+        let poor = FormulaForm::parse(POOR).unwrap();
+        let shapes = [Shape::Form(poor), Shape::Form(&SaturatingDrag), Shape::Spline];
+        let found: Vec<Candidate> =
+            shapes.into_iter().map(|shape| refit(&bins, shape).unwrap()).collect();
+        let scores: Vec<f64> = found.iter().map(|found| found.held_out.unwrap()).collect();
+        assert!(scores[0] < 0.6 && scores[1] > 0.97 && scores[2] > 0.95, "{scores:?}");
+        assert_eq!(preferred(&found, "drag_correction").unwrap().name, "saturating_drag");
+        assert!(preferred(&found, "slip").is_none());
+        let alone = Bins::of_tables(vec![synthetic(&WIDTHS, 0.58, 0.02, 1)], 40, 1);
+        let alone = refit(&alone, Shape::Form(&SaturatingDrag)).unwrap();
+        assert_eq!(alone.held_out, None);
+        assert!(alone.notes.iter().any(|note| note.contains("do not say what bins share")));
+    }
+
+    #[test]
+    fn intervals_from_replicates_cover() {
+        const SEEDS: u64 = 60;
+        let points = [[0.05, 1.0], [0.1, 4.0], [0.3, 2.0], [0.4, 16.0], [0.5, 8.0]];
+        let (mut of_form, mut of_surface, mut of_coefficients) = (0, 0, 0);
+        for seed in 0..SEEDS {
+            let bins = Bins::of_tables(vec![synthetic(&WIDTHS, 0.58, 0.02, 500 + seed)], 80, seed);
+            let form = refit(&bins, Shape::Form(&SaturatingDrag)).unwrap();
+            let surface = refit(&bins, Shape::Spline).unwrap();
+            let holds = |found: &Candidate, point: &[f64; 2]| {
+                let exact = SaturatingDrag.predict(&PLANTED, point);
+                let Estimate { low_95, high_95, .. } = found.estimate(point);
+                u32::from(low_95 <= exact && exact <= high_95)
+            };
+            of_form += points.iter().map(|point| holds(&form, point)).sum::<u32>();
+            of_surface += points.iter().map(|point| holds(&surface, point)).sum::<u32>();
+            let near = |(c, exact): (&Coefficient, &f64)| {
+                u32::from(c.low_95 <= *exact && *exact <= c.high_95)
+            };
+            of_coefficients += form.coefficients.iter().zip(&PLANTED).map(near).sum::<u32>();
+        }
+        let share = |count: u32, of: usize| f64::from(count) / (SEEDS as f64 * of as f64);
+        let form = share(of_form, points.len());
+        let surface = share(of_surface, points.len());
+        let coefficients = share(of_coefficients, PLANTED.len());
+        println!("curve {form:.3}, surface {surface:.3}, coefficients {coefficients:.3}");
+        assert!((0.90..=0.99).contains(&form), "{form}");
+        assert!((0.90..=0.99).contains(&coefficients), "{coefficients}");
+        // What is smoothed away is not in the scatter of replicates.
+        assert!(surface >= 0.80, "{surface}");
+    }
+
+    #[test]
+    fn a_coefficient_that_replicates_leave_open_has_no_interval() {
+        let rows = synthetic(&WIDTHS, 0.44, 0.02, 4);
+        let bins = Bins::of_tables(vec![rows], 100, 1);
+        let found = refit(&bins, Shape::Form(&SaturatingDrag)).unwrap();
+        for c in &found.coefficients {
+            let named = format!("The data do not fix {} ({})", c.name, c.symbol);
+            assert_eq!(found.notes.iter().any(|note| note.starts_with(&named)), c.held);
+            assert!(!c.held || (c.low_95 == c.high_95 && c.standard_error == 0.0), "{c:?}");
+        }
+        assert!(found.coefficients[5].held, "{:?}", found.coefficients[5]);
+        assert!(found.fitted.covariance()[5].iter().all(|c| *c == 0.0));
+        assert!(!found.coefficients[0].held);
+    }
+}
