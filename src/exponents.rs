@@ -169,6 +169,9 @@ fn residuals(points: &[Point], bins: usize, n: [f64; 2], middle: f64) -> Vec<f64
     let mut residuals = vec![0.0; points.len()];
     for bin in 0..bins {
         let here: Vec<usize> = (0..points.len()).filter(|i| points[*i].bin == bin).collect();
+        if here.is_empty() {
+            continue;
+        }
         let mean = here.iter().map(|i| at(&points[*i])).sum::<f64>() / here.len() as f64;
         let power = |i: usize, k: usize| (at(&points[i]) - mean).powi(k as i32) / points[i].error;
         let matrix = Mat::from_fn(here.len(), 3, |a, k| power(here[a], k));
@@ -447,6 +450,16 @@ mod tests {
             assert!((found.constant.value - n).abs() < 1e-3, "{found}");
             assert!(found.shift.value.abs() < 1e-3, "{found}");
         }
+    }
+
+    #[test]
+    fn a_bin_of_one_powder_alone_says_nothing() {
+        let mut runs = planted([-0.3, 0.0], 1e-6, 1);
+        let without = found(&runs).constant.value;
+        for i in 0..8 {
+            runs[1].1.push(row(1.0 + f64::from(i), 0.55, 0.1 * f64::from(i), 1e-6));
+        }
+        assert_eq!(found(&runs).constant.value, without);
     }
 
     #[test]

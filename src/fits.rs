@@ -7,6 +7,7 @@ use favre::output::Output;
 use favre::pipeline;
 use favre::pool::Pool;
 use favre::refit::{Bins, Candidate, Shape, refit};
+use favre::sums::SumsFile;
 use favre::table::{BinRow, read_bins};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -67,7 +68,8 @@ pub fn fit(args: &cli::Fit) -> Result<(), Failure> {
         let file = Pool::read(&args.paths, None).map_err(Failure::misuse)?.file;
         let name = file.runs.first().map_or("fit", |run| run.name.as_str()).to_owned();
         let bins = Bins::of_runs(&file.runs, &file.system.scales(), count, SEED);
-        (bins.map_err(Failure::misuse)?, Some(file.system), name)
+        let bins = bins.map_err(Failure::misuse)?.packed(file.system.powder.max_packing);
+        (bins, Some(file.system), name)
     };
     let mut found: Vec<Candidate> = Vec::new();
     let mut refused: Vec<String> = Vec::new();
@@ -137,7 +139,7 @@ fn powder(path: &Path, count: usize) -> Result<(f64, Bins), Failure> {
             .map_or(f64::NAN, |row| (row.filter_width_l_ii / row.filter_width_l_i).powf(1.5));
         return Ok((froude, Bins::of_tables(vec![rows], count, SEED)));
     }
-    let file = Pool::read(&[path.to_owned()], None).map_err(Failure::misuse)?.file;
+    let file = SumsFile::read(path).map_err(Failure::misuse)?;
     let scales = file.system.scales();
     let bins = Bins::of_runs(&file.runs, &scales, count, SEED).map_err(Failure::misuse)?;
     Ok((scales.froude, bins))

@@ -148,7 +148,7 @@ pub fn run(
         .unzip();
     let bins = bin_table(&sums, &scales)?;
     let sums = sums_file(case, sums);
-    let candidates = fit_drag_correction(&sums.runs, &scales);
+    let candidates = fit_drag_correction(&sums.runs, &scales, case.powder.max_packing);
     let system = System::new(&case.powder, &case.gas, &scales);
     let model = candidates
         .as_ref()
@@ -413,8 +413,12 @@ const DRAG: &str = "drag_correction";
 const REPLICATES: (usize, u64) = (200, 1);
 
 /// The surface and the form of the drag correction that fit; the reason if neither does.
-fn fit_drag_correction(runs: &[RunSums], scales: &Scales) -> Result<Vec<Candidate>, RefitError> {
-    let bins = Bins::of_runs(runs, scales, REPLICATES.0, REPLICATES.1)?;
+fn fit_drag_correction(
+    runs: &[RunSums],
+    scales: &Scales,
+    packing: f64,
+) -> Result<Vec<Candidate>, RefitError> {
+    let bins = Bins::of_runs(runs, scales, REPLICATES.0, REPLICATES.1)?.packed(packing);
     let form = refit(&bins, Shape::Form(&SaturatingDrag));
     match (refit(&bins, Shape::Spline), form) {
         (Err(_), Err(why)) => Err(why),

@@ -65,7 +65,12 @@ impl Shape {
         }
     }
 
-    fn fit(self, rows: &[BinRow], start: Option<&Fitted>) -> Result<Fitted, FitError> {
+    fn fit(
+        self,
+        rows: &[BinRow],
+        packing: f64,
+        start: Option<&Fitted>,
+    ) -> Result<Fitted, FitError> {
         Ok(match (self, start) {
             (Self::Form(form), Some(Fitted::Form(start))) => {
                 let start: Vec<f64> = start.coefficients.iter().map(|c| c.value).collect();
@@ -77,7 +82,7 @@ impl Shape {
                     Some(Fitted::Spline(start)) => Some(start.smoothing),
                     _ => None,
                 };
-                Fitted::Spline(fit_spline(rows, ReferenceLength::One, smoothing)?)
+                Fitted::Spline(fit_spline(rows, ReferenceLength::One, packing, smoothing)?)
             }
         })
     }
@@ -344,9 +349,14 @@ pub struct Bins {
     replicates: Vec<Vec<BinRow>>,
     /// For each run left out those of the others, and its own.
     parts: Vec<(Vec<BinRow>, Vec<BinRow>)>,
+    /// Solids fraction of the densest packing, at which nothing moves \[-\].
+    packing: f64,
     /// What is to be known of the replicates.
     note: Option<String>,
 }
+
+/// Densest packing of a powder that is not known: random spheres.
+const PACKING: f64 = 0.65;
 
 impl Bins {
     /// The bins of `runs`, with `count` replicates drawn from `seed`. Runs that are too short to be
@@ -365,12 +375,19 @@ impl Bins {
         let mut bins = match replicate(&sums, &fractions, scales, count, seed) {
             Ok(found) => {
                 let replicates = (0..count).map(|k| found.table(k)).collect();
-                Self { rows: found.rows, replicates, parts: Vec::new(), note: None }
+                Self {
+                    rows: found.rows,
+                    replicates,
+                    parts: Vec::new(),
+                    packing: PACKING,
+                    note: None,
+                }
             }
             Err(error @ ReplicateError::TooShort { .. }) => {
                 let rows = bin_table_among(&sums, &sums, scales)?;
                 let note = Some(format!("{error}; {NOISE}"));
-                Self { replicates: drawn(&rows, count, seed), rows, parts: Vec::new(), note }
+                let replicates = drawn(&rows, count, seed);
+                Self { rows, replicates, parts: Vec::new(), packing: PACKING, note }
             }
             Err(error) => return Err(error.into()),
         };
@@ -381,6 +398,11 @@ impl Bins {
             bins.parts.push((trained, bin_table_among(&one, &sums, scales)?));
         }
         Ok(bins)
+    }
+
+    /// Of a powder whose densest packing is `packing` \[-\], in place of 0.65.
+    pub fn packed(self, packing: f64) -> Self {
+        Self { packing, ..self }
     }
 
     /// Replicate number `replicate` of the rows.
@@ -401,7 +423,7 @@ impl Bins {
         };
         let rows: Vec<BinRow> = tables.into_iter().flatten().collect();
         let note = Some(format!("Bin tables do not say what bins share; {NOISE}"));
-        Self { replicates: drawn(&rows, count, seed), rows, parts, note }
+        Self { replicates: drawn(&rows, count, seed), rows, parts, packing: PACKING, note }
     }
 }
 
@@ -441,10 +463,11 @@ pub fn refit(bins: &Bins, shape: Shape) -> Result<Candidate, RefitError> {
         rows.iter().filter(|row| row.quantity == shape.quantity()).cloned().collect()
     };
     let refused = |why| RefitError::Fit { shape: shape.name(), why };
-    let fitted = shape.fit(&of(&bins.rows), None).map_err(refused)?;
+    let fitted = shape.fit(&of(&bins.rows), bins.packing, None).map_err(refused)?;
     let tables = bins.replicates.iter();
-    let again = tables.filter_map(|rows| shape.fit(&of(rows), Some(&fitted)).ok()).collect();
-    let mut candidate = Candidate::new(fitted, again, score(shape, &bins.parts, &of));
+    let again = tables.filter_map(|rows| shape.fit(&of(rows), bins.packing, Some(&fitted)).ok());
+    let again = again.collect();
+    let mut candidate = Candidate::new(fitted, again, score(shape, bins, &of));
     candidate.notes.extend(bins.note.clone());
     Ok(candidate)
 }
@@ -459,23 +482,35 @@ fn take_errors(fit: &mut Fit, again: &[Fitted]) {
         }
         return;
     }
-    let count = again.len() as f64;
-    let column = |k: usize| again.iter().map(move |fitted| fitted.coefficients()[k].value);
-    for (k, coefficient) in fit.coefficients.iter_mut().enumerate() {
-        if coefficient.held {
-            continue;
-        }
+    for (k, coefficient) in fit.coefficients.iter_mut().enumerate().filter(|(_, c)| !c.held) {
         let open = again.iter().filter(|fitted| fitted.coefficients()[k].held).count();
-        if open as f64 > OPEN * count {
-            let Coefficient { name, symbol, value, .. } = coefficient;
-            fit.notes.push(format!(
-                "The data do not fix {name} ({symbol}): {open} of {count} replicates leave it open; it \
-                 stands at {value:.4} without an interval."
-            ));
-            (coefficient.held, coefficient.standard_error) = (true, 0.0);
-            (coefficient.low_95, coefficient.high_95) = (coefficient.value, coefficient.value);
+        if open as f64 <= OPEN * again.len() as f64 {
             continue;
         }
+        let Coefficient { name, symbol, value, .. } = coefficient;
+        fit.notes.push(format!(
+            "The data do not fix {name} ({symbol}): {open} of {} replicates leave it open; it stands at \
+             {value:.4} without an interval.",
+            again.len()
+        ));
+        (coefficient.held, coefficient.standard_error) = (true, 0.0);
+        (coefficient.low_95, coefficient.high_95) = (coefficient.value, coefficient.value);
+    }
+    // A default that a replicate took for want of data is no estimate.
+    let held = |of: &[Coefficient]| -> Vec<bool> { of.iter().map(|c| c.held).collect() };
+    let fixed = held(&fit.coefficients);
+    let same = |fitted: &&Fitted| {
+        held(fitted.coefficients()).into_iter().zip(&fixed).all(|(there, here)| !there || *here)
+    };
+    let known: Vec<&Fitted> = again.iter().filter(same).collect();
+    if known.len() < FEWEST {
+        let few = known.len();
+        fit.notes.push(format!("{few} replicates fix all: errors are those of one fit."));
+        return;
+    }
+    let count = known.len() as f64;
+    let column = |k: usize| known.iter().map(move |fitted| fitted.coefficients()[k].value);
+    for (k, coefficient) in fit.coefficients.iter_mut().enumerate().filter(|(_, c)| !c.held) {
         let mut values: Vec<f64> = column(k).collect();
         coefficient.standard_error = standard_deviation(&values);
         let [low, high] = ends(&mut values);
@@ -494,14 +529,10 @@ fn take_errors(fit: &mut Fit, again: &[Fitted]) {
 }
 
 /// The score over all runs left out; none without runs, or if the others cannot be fitted.
-fn score(
-    shape: Shape,
-    parts: &[(Vec<BinRow>, Vec<BinRow>)],
-    of: &dyn Fn(&[BinRow]) -> Vec<BinRow>,
-) -> Option<f64> {
+fn score(shape: Shape, bins: &Bins, of: &dyn Fn(&[BinRow]) -> Vec<BinRow>) -> Option<f64> {
     let mut points: Vec<[f64; 3]> = Vec::new();
-    for (others, one) in parts {
-        let fitted = shape.fit(&of(others), None).ok()?;
+    for (others, one) in &bins.parts {
+        let fitted = shape.fit(&of(others), bins.packing, None).ok()?;
         for row in of(one).iter().filter(|row| row.standard_error.is_finite()) {
             let value = row.value_scaled;
             points.push([value, fitted.at_row(row), row.samples as f64]);

@@ -5,7 +5,8 @@
 //! surface does not turn more often than its coefficients do (de Boor, *A Practical Guide to Splines*,
 //! 2001), so that three conditions on the coefficients shape the whole surface:
 //!
-//! - c_0j = c_i0 = 0: nothing at φ = 0 and at D = 0;
+//! - c_0j = c_i0 = 0: nothing at φ = 0 and at D = 0; c_ij = 0 for the last i: nothing at the densest
+//!   packing, where nothing moves;
 //! - c_ij ≤ c_i(j+1): never less for a wider filter;
 //! - c_ij ≤ [`CEILING`] < 1.
 //!
@@ -204,14 +205,15 @@ impl Spline {
     }
 }
 
-/// Fits a spline to `rows`, all of one quantity with values in [0, 1); `smoothing` is λ, or none to
-/// have it found.
+/// Fits a spline to `rows`, all of one quantity with values in [0, 1), of a powder whose densest packing is
+/// `packing`; `smoothing` is λ, or none to have it found.
 ///
 /// # Errors
 /// [`FitError`] for numbers that cannot be fitted, or fewer than twelve rows.
 pub fn fit_spline(
     rows: &[BinRow],
     reference_length: ReferenceLength,
+    packing: f64,
     smoothing: Option<f64>,
 ) -> Result<SplineFit, FitError> {
     check_rows(rows, reference_length)?;
@@ -233,8 +235,13 @@ pub fn fit_spline(
         let at = widths[k * widths.len() / pieces - 1];
         at / (at + width_scale)
     }));
-    let end = (densest / FRACTION_SCALE).ln_1p();
-    let fraction_knots: Vec<f64> = (0..=PIECES).map(|k| end * k as f64 / PIECES as f64).collect();
+    // Up to the bins, and one piece on to the packing.
+    let scaled = |fraction: f64| (fraction / FRACTION_SCALE).ln_1p();
+    let beyond = packing > 1.02 * densest;
+    let end = scaled(if beyond { densest } else { packing });
+    let mut fraction_knots: Vec<f64> =
+        (0..=PIECES).map(|k| end * k as f64 / PIECES as f64).collect();
+    fraction_knots.extend(beyond.then(|| scaled(packing)));
     let empty = Spline {
         fraction_scale: FRACTION_SCALE,
         width_scale,
@@ -270,7 +277,8 @@ pub fn fit_spline(
         problem.goodness(&used, freedom, |row| spline.at(row.solids_fraction, width(row)));
     let low = used.iter().map(|row| row.solids_fraction_low.max(0.0)).fold(1.0, f64::min);
     let ranges = vec![
-        ValidRange { marker: Marker::SolidsFraction, low, high: densest },
+        // A limit that it has by construction, as at D = 0.
+        ValidRange { marker: Marker::SolidsFraction, low, high: packing },
         ValidRange {
             marker: Marker::FilterWidth,
             low: if narrowest < widest { 0.0 } else { 0.999 * narrowest },
@@ -292,7 +300,8 @@ struct Problem {
 
 impl Problem {
     fn new(rows: &[&BinRow], reference_length: ReferenceLength, spline: &Spline) -> Self {
-        let (lines, columns) = (spline.fraction_knots.len(), spline.width_knots.len());
+        // The first and the last along x are zero.
+        let (lines, columns) = (spline.fraction_knots.len() - 1, spline.width_knots.len());
         let count = lines * columns;
         let mean_square = rows.iter().map(|row| row.value.powi(2)).sum::<f64>() / rows.len() as f64;
         let mut problem = Self {
@@ -310,8 +319,7 @@ impl Problem {
             let (i, along_x) = basis(&spline.fraction_knots, x);
             let (j, along_y) = basis(&spline.width_knots, scaled / (scaled + spline.width_scale));
             for (a, x) in along_x.into_iter().enumerate() {
-                // The first coefficient of either direction is zero and no unknown.
-                let Some(i) = (i + a).checked_sub(1) else { continue };
+                let Some(i) = (i + a).checked_sub(1).filter(|i| *i < lines) else { continue };
                 for (b, y) in along_y.into_iter().enumerate() {
                     // c_ij is the sum of the increments up to j.
                     (0..j + b).for_each(|k| line[i * columns + k] += x * y);
@@ -465,7 +473,8 @@ impl Problem {
             }
         }
         let mut spline = empty.clone();
-        for (i, row) in spline.coefficients.iter_mut().enumerate().skip(1) {
+        let lines = count / self.columns;
+        for (i, row) in spline.coefficients.iter_mut().enumerate().skip(1).take(lines) {
             let mut sum = 0.0;
             for (j, coefficient) in row.iter_mut().enumerate().skip(1) {
                 sum += values[(i - 1) * self.columns + j - 1].max(0.0);
@@ -491,7 +500,7 @@ pub(crate) mod tests {
 
     fn fitted(noise: f64, seed: u64) -> (Vec<BinRow>, SplineFit) {
         let rows = synthetic(&WIDTHS, 0.58, noise, seed);
-        let fit = fit_spline(&rows, ReferenceLength::One, None).unwrap();
+        let fit = fit_spline(&rows, ReferenceLength::One, 0.65, None).unwrap();
         (rows, fit)
     }
 
@@ -545,6 +554,7 @@ pub(crate) mod tests {
                 }
             }
             assert_eq!(fit.spline.at(0.0, 4.0), 0.0);
+            assert_eq!((fit.spline.at(0.65, 4.0), fit.spline.at(0.9, 4.0)), (0.0, 0.0));
         }
     }
 
@@ -579,8 +589,9 @@ pub(crate) mod tests {
     #[test]
     fn bad_rows_and_bad_files_are_refused() {
         let (rows, fit) = fitted(0.02, 1);
-        let error =
-            |rows: &[BinRow]| fit_spline(rows, ReferenceLength::One, None).unwrap_err().to_string();
+        let error = |rows: &[BinRow]| {
+            fit_spline(rows, ReferenceLength::One, 0.65, None).unwrap_err().to_string()
+        };
         let mut bad = rows.clone();
         bad[4].value = f64::NAN;
         assert_eq!(error(&bad), "row 5: value = NaN cannot be fitted; remove the row");
@@ -594,7 +605,7 @@ pub(crate) mod tests {
         };
         assert!(spoil(&|s| s.width_scale = 0.0).starts_with("width_scale = 0: a positive"));
         assert!(spoil(&|s| s.fraction_knots[3] = 0.0).starts_with("fraction_knots: 2 to 50"));
-        assert!(spoil(&|s| s.coefficients[2].truncate(1)).starts_with("coefficients: 14 lists of"));
+        assert!(spoil(&|s| s.coefficients[2].truncate(1)).starts_with("coefficients: 15 lists of"));
         assert_eq!(
             spoil(&|s| s.coefficients[2][2] = 1.0),
             "coefficients: 1 is not from 0 to below 1"
@@ -606,7 +617,7 @@ pub(crate) mod tests {
     fn the_default_runs_bins_hold_the_surface() {
         let text = include_str!("../data/default/drag_correction.csv");
         let rows = crate::table::parse_bins(text.as_bytes(), std::path::Path::new("bins.csv"));
-        let fit = fit_spline(&rows.unwrap(), ReferenceLength::One, None).unwrap();
+        let fit = fit_spline(&rows.unwrap(), ReferenceLength::One, 0.65, None).unwrap();
         let points = fit.goodness.points;
         assert!(points > 100 && fit.inside >= HELD, "{} of {points}", fit.inside);
     }
