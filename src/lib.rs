@@ -15,6 +15,7 @@ pub mod stencil;
 pub mod laws;
 pub mod two_fluid;
 
+pub mod exponents;
 pub mod expression;
 pub mod fine;
 pub mod lanes;
@@ -24,6 +25,7 @@ pub mod extrapolation;
 pub mod filter;
 pub mod filtered;
 pub mod moments;
+pub mod refit;
 pub mod replicates;
 pub mod resolved;
 pub mod series;

@@ -1,6 +1,7 @@
 //! The `favre` command: parse, call one library function, print one error, exit.
 
 mod cli;
+mod fits;
 mod interrupt;
 mod models;
 
@@ -56,6 +57,8 @@ fn main() -> ExitCode {
         Some(Command::Run(args)) => run(&args, "run"),
         Some(Command::Simulate(args)) => run(&args, "simulate"),
         Some(Command::Filter(args)) => filter(&args),
+        Some(Command::Fit(args)) => fits::fit(&args),
+        Some(Command::Exponents(args)) => fits::exponents(&args),
         Some(Command::Models(args)) => models::models(&args),
         Some(Command::Export(args)) => export(&args),
         Some(Command::Report(args)) => report(&args),
