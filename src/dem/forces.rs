@@ -1,0 +1,236 @@
+//! Forces of the contacts.
+
+use super::pairs::{IMAGES, Slab, Touch, between};
+use super::{Dem, Quad};
+use crate::laws::contact::{Contact, TANGENTIAL_MOBILITY, damping};
+use crate::rows::{join, simd};
+
+/// What contacts look at.
+#[derive(Clone, Copy)]
+struct Scene<'a> {
+    positions: &'a [Quad],
+    velocities: &'a [Quad],
+    spins: &'a [Quad],
+    images: &'a [Quad; IMAGES],
+    law: Contact,
+    dt: f64,
+}
+
+/// Forces of every other of the `slabs`, the first among them. `forces` and `torques` begin at place
+/// `base`, that of the first slab's first particle, and reach to the end of the slab above the last.
+fn every_other(
+    parallel: bool,
+    scene: Scene,
+    slabs: &mut [Slab],
+    base: usize,
+    forces: &mut [Quad],
+    torques: &mut [Quad],
+) {
+    if slabs.len() > 2 {
+        let half = (slabs.len() / 2).next_multiple_of(2);
+        let (lower, upper) = slabs.split_at_mut(half);
+        let middle = upper[0].begin;
+        let (lower_forces, upper_forces) = forces.split_at_mut(middle - base);
+        let (lower_torques, upper_torques) = torques.split_at_mut(middle - base);
+        join(
+            parallel,
+            || every_other(parallel, scene, lower, base, lower_forces, lower_torques),
+            || every_other(parallel, scene, upper, middle, upper_forces, upper_torques),
+        );
+    } else if let Some(slab) = slabs.first_mut() {
+        let Scene { positions, images, .. } = scene;
+        touching(slab, positions, images);
+        contacts(slab, scene, base, forces, torques);
+    }
+}
+
+simd! {
+    /// Finds the near pairs in touch.
+    fn touching[](slab: &mut Slab, positions: &[Quad], images: &[Quad; IMAGES]) {
+        let Slab { near, pairs, found, .. } = slab;
+        found.resize(near.len(), 0);
+        let mut count = 0;
+        // Without a branch: whether a near pair touches is anyone's guess.
+        for &n in near.iter() {
+            let (d, touching) = between(pairs[n as usize], positions, images);
+            found[count] = n;
+            let square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+            count += usize::from(square < touching * touching);
+        }
+        found.truncate(count);
+    }
+}
+
+#[inline(always)]
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[inline(always)]
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+#[inline(always)]
+fn add(to: &mut Quad, what: [f64; 3]) {
+    for axis in 0..3 {
+        to.0[axis] += what[axis];
+    }
+}
+
+simd! {
+    /// Adds the forces and torques of a slab's pairs that [`touching`] found, and leaves their springs in
+    /// its contacts.
+    fn contacts[](
+        slab: &mut Slab,
+        scene: Scene<'_>,
+        base: usize,
+        forces: &mut [Quad],
+        torques: &mut [Quad],
+    ) {
+        let Scene { positions, velocities, spins, images, law, dt } = scene;
+        let Slab { pairs, found, contacts, before, springs, lost, deepest, .. } = slab;
+        std::mem::swap(contacts, before);
+        contacts.clear();
+        (*springs, *lost, *deepest) = (0.0, 0.0, 0.0);
+        let c = damping(law.restitution);
+        let tangential = law.tangential_stiffness * law.stiffness;
+        let mut old = before.iter().peekable();
+        for &n in found.iter() {
+            let pair = pairs[n as usize];
+            let (a, b) = (pair.first(), pair.second(positions.len()));
+            let (d, touching) = between(pair, positions, images);
+            let distance = dot(d, d).sqrt();
+            // Centres on one point push each other apart along the first axis.
+            let normal =
+                if distance > 0.0 { d.map(|d| d / distance) } else { [1.0, 0.0, 0.0] };
+            let overlap = touching - distance;
+            *deepest = deepest.max(overlap / touching);
+
+            let (Quad([ax, ay, az, a_lighter]), Quad([bx, by, bz, b_lighter])) =
+                (velocities[a], velocities[b]);
+            let relative = [ax - bx, ay - by, az - bz];
+            let approach = -dot(relative, normal);
+            let lighter = a_lighter + b_lighter;
+            let frequency = (law.stiffness * lighter).sqrt();
+            let dashpot = c * law.stiffness / frequency;
+            // Δt/2 γ/m*: the dashpot acts with the mean velocity of the kick.
+            let centred = 0.5 * dt * c * frequency;
+            let spring = law.stiffness * overlap;
+            while let Some(parted) = old.next_if(|touch| touch.pair < n) {
+                *lost += 0.5 * tangential * dot(parted.spring, parted.spring);
+            }
+            let kept = old.next_if(|touch| touch.pair == n);
+            // The first and the last kick of a contact are those of the part of the step around them in
+            // which the spheres touch: half a step, and the steps since they met, or until they part,
+            // which are less than one.
+            let whole = (spring + dashpot * approach) / (1.0 + centred);
+            let parting = dt * whole * lighter - approach;
+            let speed = if kept.is_none() { approach } else { parting };
+            let ends = overlap < speed * dt;
+            let part = overlap / (speed * dt);
+            let push = if ends {
+                // A last kick may slow them down so much that they still touch: that part has been done.
+                let over = kept.is_some_and(|touch| touch.ended);
+                let damps = if over { 0.0 } else { part + 0.5 };
+                (0.5 * damps * damps * law.stiffness * speed * dt + damps * dashpot * approach)
+                    / (1.0 + damps * centred)
+            } else {
+                whole
+            };
+            *springs += 0.5 * spring * overlap;
+            *lost += (push - spring) * (approach - 0.5 * dt * push * lighter) * dt;
+
+            let mut force = normal.map(|n| push * n);
+            let mut stretched = [0.0; 3];
+            if law.friction > 0.0 {
+                let a_arm = distance * (positions[a].0[3] / touching);
+                let b_arm = distance - a_arm;
+                let (w, u) = (spins[a].0, spins[b].0);
+                let turn: [f64; 3] = std::array::from_fn(|n| a_arm * w[n] + b_arm * u[n]);
+                let turned = cross(turn, normal);
+                let slip: [f64; 3] =
+                    std::array::from_fn(|n| relative[n] + approach * normal[n] - turned[n]);
+
+                let (sprung, time) = match kept {
+                    Some(touch) => (touch.spring, dt),
+                    None => ([0.0; 3], if ends { part * dt } else { dt }),
+                };
+                let energy = dot(sprung, sprung);
+                stretched = std::array::from_fn(|n| sprung[n] + time * slip[n]);
+                let out = dot(stretched, normal);
+                stretched = std::array::from_fn(|n| stretched[n] - out * normal[n]);
+                let dashpot = law.tangential_damping * dashpot;
+                let held = 1.0 + TANGENTIAL_MOBILITY * law.tangential_damping * centred;
+                let mut drag: [f64; 3] = std::array::from_fn(|n| {
+                    -(tangential * stretched[n] + dashpot * slip[n]) / held
+                });
+                let (size, most) = (dot(drag, drag).sqrt(), law.friction * push.abs());
+                if size > most {
+                    drag = drag.map(|drag| drag * (most / size));
+                    stretched = if tangential > 0.0 {
+                        std::array::from_fn(|n| {
+                            -(held * drag[n] + dashpot * slip[n]) / tangential
+                        })
+                    } else {
+                        [0.0; 3]
+                    };
+                }
+                let mobility = 0.5 * dt * TANGENTIAL_MOBILITY * lighter;
+                let mean: [f64; 3] = std::array::from_fn(|n| slip[n] + mobility * drag[n]);
+                let energy = 0.5 * tangential * (dot(stretched, stretched) - energy);
+                *springs += 0.5 * tangential * dot(stretched, stretched);
+                *lost -= time * dot(drag, mean) + energy;
+                force = std::array::from_fn(|n| force[n] + drag[n]);
+                let twist = cross(drag, normal);
+                add(&mut torques[a - base], twist.map(|twist| a_arm * twist));
+                add(&mut torques[pair.slot as usize - base], twist.map(|twist| b_arm * twist));
+            }
+            contacts.push(Touch { spring: stretched, pair: n, ended: ends && kept.is_some() });
+            add(&mut forces[a - base], force);
+            add(&mut forces[pair.slot as usize - base], force.map(|force| -force));
+        }
+        for parted in old {
+            *lost += 0.5 * tangential * dot(parted.spring, parted.spring);
+        }
+    }
+}
+
+impl Dem {
+    /// Adds up the forces of all contacts, which were zero before; returns the deepest overlap over the
+    /// mean diameter.
+    pub(super) fn contacts(&mut self) -> f64 {
+        let images = self.cells.images();
+        let scene = Scene {
+            positions: &self.positions,
+            velocities: &self.velocities,
+            spins: &self.spins,
+            images: &images,
+            law: self.setup.contact,
+            dt: self.dt,
+        };
+        let parallel = self.setup.parallel;
+        let (forces, torques) = (&mut self.forces[..], &mut self.torques[..]);
+        every_other(parallel, scene, &mut self.slabs, 0, forces, torques);
+        if let [_, slabs @ ..] = &mut self.slabs[..]
+            && let Some(Slab { begin, .. }) = slabs.first()
+        {
+            let begin = *begin;
+            let (forces, torques) = (&mut forces[begin..], &mut torques[begin..]);
+            every_other(parallel, scene, slabs, begin, forces, torques);
+        }
+        for quads in [forces, torques] {
+            let (particles, images) = quads.split_at_mut(self.positions.len());
+            for (particle, image) in particles.iter_mut().zip(images) {
+                add(particle, image.vector());
+                *image = Quad::default();
+            }
+        }
+        let mut deepest = 0.0f64;
+        for slab in &self.slabs {
+            self.lost += slab.lost;
+            deepest = deepest.max(slab.deepest);
+        }
+        deepest
+    }
+}
