@@ -129,15 +129,16 @@ simd! {
             let speed = if kept.is_none() { approach } else { parting };
             let ends = overlap < speed * dt;
             let part = overlap / (speed * dt);
-            let push = if ends {
+            let (share, squeezed) = if ends {
                 // A last kick may slow them down so much that they still touch: that part has been done.
                 let over = kept.is_some_and(|touch| touch.ended);
-                let damps = if over { 0.0 } else { part + 0.5 };
-                (0.5 * damps * damps * law.stiffness * speed * dt + damps * dashpot * approach)
-                    / (1.0 + damps * centred)
+                let share = if over { 0.0 } else { part + 0.5 };
+                (share, 0.5 * share * speed * dt)
             } else {
-                whole
+                (1.0, overlap)
             };
+            let push = share * (law.stiffness * squeezed + dashpot * approach)
+                / (1.0 + share * centred);
             *springs += 0.5 * spring * overlap;
             *lost += (push - spring) * (approach - 0.5 * dt * push * lighter) * dt;
 
@@ -152,25 +153,28 @@ simd! {
                 let slip: [f64; 3] =
                     std::array::from_fn(|n| relative[n] + approach * normal[n] - turned[n]);
 
-                let (sprung, time) = match kept {
-                    Some(touch) => (touch.spring, dt),
-                    None => ([0.0; 3], if ends { part * dt } else { dt }),
+                let (sprung, time, acting) = match kept {
+                    Some(touch) => (touch.spring, dt, dt),
+                    // In touch since a part of the step only, and pulled by the mean of the kick.
+                    None if ends => ([0.0; 3], part * dt, 0.5 * share * dt),
+                    None => ([0.0; 3], dt, dt),
                 };
                 let energy = dot(sprung, sprung);
+                let out = dot(sprung, normal);
+                let sprung: [f64; 3] = std::array::from_fn(|n| sprung[n] - out * normal[n]);
                 stretched = std::array::from_fn(|n| sprung[n] + time * slip[n]);
-                let out = dot(stretched, normal);
-                stretched = std::array::from_fn(|n| stretched[n] - out * normal[n]);
                 let dashpot = law.tangential_damping * dashpot;
-                let held = 1.0 + TANGENTIAL_MOBILITY * law.tangential_damping * centred;
+                let pull = tangential * acting + dashpot;
+                let held = 1.0 + TANGENTIAL_MOBILITY * law.tangential_damping * share * centred;
                 let mut drag: [f64; 3] = std::array::from_fn(|n| {
-                    -(tangential * stretched[n] + dashpot * slip[n]) / held
+                    -share * (tangential * sprung[n] + pull * slip[n]) / held
                 });
                 let (size, most) = (dot(drag, drag).sqrt(), law.friction * push.abs());
                 if size > most {
                     drag = drag.map(|drag| drag * (most / size));
                     stretched = if tangential > 0.0 {
                         std::array::from_fn(|n| {
-                            -(held * drag[n] + dashpot * slip[n]) / tangential
+                            -(held / share * drag[n] + dashpot * slip[n]) / tangential
                         })
                     } else {
                         [0.0; 3]
