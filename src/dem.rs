@@ -221,6 +221,8 @@ pub struct Dem {
     forces: Vec<Quad>,
     /// Contact torques, likewise.
     torques: Vec<Quad>,
+    /// Whether a contact has added to a force and torque, likewise; where none has, they are zero.
+    touched: Vec<bool>,
     cells: Cells,
     slabs: Vec<Slab>,
     /// Way that the fastest particle may have gone since the pairs, and since the near ones, were listed.
@@ -273,6 +275,7 @@ impl Dem {
             drives: Vec::new(),
             forces: vec![Quad::default(); spheres.len()],
             torques: vec![Quad::default(); spheres.len()],
+            touched: vec![false; spheres.len()],
             slabs: vec![Slab::default(); cells.number[2]],
             cells,
             travelled: [0.0; 2],
@@ -471,7 +474,11 @@ impl Dem {
         ];
         let quads: usize = quads.map(|quads| quads.capacity() * size_of::<Quad>()).iter().sum();
         let slabs: usize = self.slabs.iter().map(Slab::memory).sum();
-        quads + self.ids.capacity() * size_of::<u32>() + slabs + self.scratch.memory()
+        quads
+            + self.ids.capacity() * size_of::<u32>()
+            + self.touched.capacity()
+            + slabs
+            + self.scratch.memory()
     }
 
     /// Which particle is fastest, or not a number.

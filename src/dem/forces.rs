@@ -1,6 +1,6 @@
 //! Forces of the contacts.
 
-use super::pairs::{IMAGES, Slab, Touch, between};
+use super::pairs::{IMAGES, Near, Slab, Touch, between};
 use super::{Dem, Quad};
 use crate::laws::contact::{Contact, TANGENTIAL_MOBILITY, damping};
 use crate::rows::{join, simd};
@@ -16,44 +16,61 @@ struct Scene<'a> {
     dt: f64,
 }
 
-/// Forces of every other of the `slabs`, the first among them. `forces` and `torques` begin at place
-/// `base`, that of the first slab's first particle, and reach to the end of the slab above the last.
-fn every_other(
-    parallel: bool,
-    scene: Scene,
-    slabs: &mut [Slab],
-    base: usize,
-    forces: &mut [Quad],
-    torques: &mut [Quad],
-) {
+/// What contacts add to, of a stretch of the particles.
+struct Loads<'a> {
+    forces: &'a mut [Quad],
+    torques: &'a mut [Quad],
+    touched: &'a mut [bool],
+}
+
+impl<'a> Loads<'a> {
+    fn split_at(self, at: usize) -> (Self, Self) {
+        let (forces, forces2) = self.forces.split_at_mut(at);
+        let (torques, torques2) = self.torques.split_at_mut(at);
+        let (touched, touched2) = self.touched.split_at_mut(at);
+        let second = Self { forces: forces2, torques: torques2, touched: touched2 };
+        (Self { forces, torques, touched }, second)
+    }
+
+    /// Those from place `from` on, for a while.
+    fn from(&mut self, from: usize) -> Loads<'_> {
+        Loads {
+            forces: &mut self.forces[from..],
+            torques: &mut self.torques[from..],
+            touched: &mut self.touched[from..],
+        }
+    }
+}
+
+/// Forces of every other of the `slabs`, the first among them. `loads` begin at place `base`, that of the first slab's first particle, and reach to the end of the slab above the last.
+fn every_other(parallel: bool, scene: Scene, slabs: &mut [Slab], base: usize, loads: Loads) {
     if slabs.len() > 2 {
         let half = (slabs.len() / 2).next_multiple_of(2);
         let (lower, upper) = slabs.split_at_mut(half);
         let middle = upper[0].begin;
-        let (lower_forces, upper_forces) = forces.split_at_mut(middle - base);
-        let (lower_torques, upper_torques) = torques.split_at_mut(middle - base);
+        let (below, above) = loads.split_at(middle - base);
         join(
             parallel,
-            || every_other(parallel, scene, lower, base, lower_forces, lower_torques),
-            || every_other(parallel, scene, upper, middle, upper_forces, upper_torques),
+            || every_other(parallel, scene, lower, base, below),
+            || every_other(parallel, scene, upper, middle, above),
         );
     } else if let Some(slab) = slabs.first_mut() {
         let Scene { positions, images, .. } = scene;
         touching(slab, positions, images);
-        contacts(slab, scene, base, forces, torques);
+        contacts(slab, scene, base, loads);
     }
 }
 
 simd! {
     /// Finds the near pairs in touch.
     fn touching[](slab: &mut Slab, positions: &[Quad], images: &[Quad; IMAGES]) {
-        let Slab { near, pairs, found, .. } = slab;
-        found.resize(near.len(), 0);
+        let Slab { near, found, .. } = slab;
+        found.resize(near.len(), Near::default());
         let mut count = 0;
         // Without a branch: whether a near pair touches is anyone's guess.
-        for &n in near.iter() {
-            let (d, touching) = between(pairs[n as usize], positions, images);
-            found[count] = n;
+        for &candidate in near.iter() {
+            let (d, touching) = between(candidate.pair, positions, images);
+            found[count] = candidate;
             let square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
             count += usize::from(square < touching * touching);
         }
@@ -81,23 +98,17 @@ fn add(to: &mut Quad, what: [f64; 3]) {
 simd! {
     /// Adds the forces and torques of a slab's pairs that [`touching`] found, and leaves their springs in
     /// its contacts.
-    fn contacts[](
-        slab: &mut Slab,
-        scene: Scene<'_>,
-        base: usize,
-        forces: &mut [Quad],
-        torques: &mut [Quad],
-    ) {
+    fn contacts[](slab: &mut Slab, scene: Scene<'_>, base: usize, loads: Loads<'_>) {
+        let Loads { forces, torques, touched } = loads;
         let Scene { positions, velocities, spins, images, law, dt } = scene;
-        let Slab { pairs, found, contacts, before, springs, lost, deepest, .. } = slab;
+        let Slab { found, contacts, before, springs, lost, deepest, .. } = slab;
         std::mem::swap(contacts, before);
         contacts.clear();
         (*springs, *lost, *deepest) = (0.0, 0.0, 0.0);
         let c = damping(law.restitution);
         let tangential = law.tangential_stiffness * law.stiffness;
         let mut old = before.iter().peekable();
-        for &n in found.iter() {
-            let pair = pairs[n as usize];
+        for &Near { pair, place } in found.iter() {
             let (a, b) = (pair.first(), pair.second(positions.len()));
             let (d, touching) = between(pair, positions, images);
             let distance = dot(d, d).sqrt();
@@ -117,10 +128,10 @@ simd! {
             // Δt/2 γ/m*: the dashpot acts with the mean velocity of the kick.
             let centred = 0.5 * dt * c * frequency;
             let spring = law.stiffness * overlap;
-            while let Some(parted) = old.next_if(|touch| touch.pair < n) {
+            while let Some(parted) = old.next_if(|touch| touch.pair < place) {
                 *lost += 0.5 * tangential * dot(parted.spring, parted.spring);
             }
-            let kept = old.next_if(|touch| touch.pair == n);
+            let kept = old.next_if(|touch| touch.pair == place);
             // The first and the last kick of a contact are those of the part of the step around them in
             // which the spheres touch: half a step, and the steps since they met, or until they part,
             // which are less than one.
@@ -190,9 +201,11 @@ simd! {
                 add(&mut torques[a - base], twist.map(|twist| a_arm * twist));
                 add(&mut torques[pair.slot as usize - base], twist.map(|twist| b_arm * twist));
             }
-            contacts.push(Touch { spring: stretched, pair: n, ended: ends && kept.is_some() });
-            add(&mut forces[a - base], force);
-            add(&mut forces[pair.slot as usize - base], force.map(|force| -force));
+            contacts.push(Touch { spring: stretched, pair: place, ended: ends && kept.is_some() });
+            let (a, b) = (a - base, pair.slot as usize - base);
+            add(&mut forces[a], force);
+            add(&mut forces[b], force.map(|force| -force));
+            (touched[a], touched[b]) = (true, true);
         }
         for parted in old {
             *lost += 0.5 * tangential * dot(parted.spring, parted.spring);
@@ -214,20 +227,25 @@ impl Dem {
             dt: self.dt,
         };
         let parallel = self.setup.parallel;
-        let (forces, torques) = (&mut self.forces[..], &mut self.torques[..]);
-        every_other(parallel, scene, &mut self.slabs, 0, forces, torques);
+        let mut loads = Loads {
+            forces: &mut self.forces,
+            torques: &mut self.torques,
+            touched: &mut self.touched,
+        };
+        every_other(parallel, scene, &mut self.slabs, 0, loads.from(0));
         if let [_, slabs @ ..] = &mut self.slabs[..]
             && let Some(Slab { begin, .. }) = slabs.first()
         {
             let begin = *begin;
-            let (forces, torques) = (&mut forces[begin..], &mut torques[begin..]);
-            every_other(parallel, scene, slabs, begin, forces, torques);
+            every_other(parallel, scene, slabs, begin, loads.from(begin));
         }
-        for quads in [forces, torques] {
-            let (particles, images) = quads.split_at_mut(self.positions.len());
-            for (particle, image) in particles.iter_mut().zip(images) {
-                add(particle, image.vector());
-                *image = Quad::default();
+        // What images took on belongs to the particles.
+        let (particles, images) = loads.split_at(self.positions.len());
+        for (n, touched) in images.touched.iter_mut().enumerate() {
+            if std::mem::take(touched) {
+                add(&mut particles.forces[n], std::mem::take(&mut images.forces[n]).vector());
+                add(&mut particles.torques[n], std::mem::take(&mut images.torques[n]).vector());
+                particles.touched[n] = true;
             }
         }
         let mut deepest = 0.0f64;

@@ -13,6 +13,7 @@ struct Bodies<'a> {
     spins: &'a mut [Quad],
     forces: &'a mut [Quad],
     torques: &'a mut [Quad],
+    touched: &'a mut [bool],
     /// As long as the others, or empty.
     drives: &'a [Quad],
 }
@@ -26,14 +27,16 @@ impl Bodies<'_> {
         let (spins, spins2) = self.spins.split_at_mut(at);
         let (forces, forces2) = self.forces.split_at_mut(at);
         let (torques, torques2) = self.torques.split_at_mut(at);
+        let (touched, touched2) = self.touched.split_at_mut(at);
         let (drives, drives2) = self.drives.split_at(at.min(self.drives.len()));
-        let first = Self { positions, velocities, spins, forces, torques, drives };
+        let first = Self { positions, velocities, spins, forces, torques, touched, drives };
         let second = Self {
             positions: positions2,
             velocities: velocities2,
             spins: spins2,
             forces: forces2,
             torques: torques2,
+            touched: touched2,
             drives: drives2,
         };
         (first, second)
@@ -43,57 +46,67 @@ impl Bodies<'_> {
 /// Kicks of the lengths `kicks` \[s\]: half a step after a drift, and half a step before the next. Both are
 /// done where one would do, so that steps made one by one give the bits of those made together.
 #[inline(always)]
-fn kicked<const K: usize>(
+fn kick<const K: usize>(
     kicks: [f64; K],
     velocity: &mut Quad,
     spin: &mut Quad,
-    force: &Quad,
-    torque: &Quad,
+    load: Option<(&Quad, &Quad)>,
     drive: Option<&Quad>,
 ) {
-    let (lighter, turning) = (velocity.0[3], spin.0[3]);
+    let lighter = velocity.0[3];
     // What is held is not driven.
-    let pull = drive.map_or([0.0; 4], |drive| if lighter > 0.0 { drive.0 } else { [0.0; 4] });
+    let drive = drive.filter(|_| lighter > 0.0);
+    if load.is_none() && drive.is_none() {
+        return;
+    }
+    let Quad([px, py, pz, rate]) = drive.copied().unwrap_or_default();
+    let Quad([fx, fy, fz, _]) = load.map(|(force, _)| *force).unwrap_or_default();
+    let by = [lighter * fx + px, lighter * fy + py, lighter * fz + pz];
     for kick in kicks {
-        let damped = if drive.is_some() { 1.0 / (1.0 + kick * pull[3]) } else { 1.0 };
         for axis in 0..3 {
-            let acceleration = lighter * force.0[axis] + pull[axis];
-            velocity.0[axis] = (velocity.0[axis] + kick * acceleration) * damped;
-            spin.0[axis] += kick * (turning * torque.0[axis]);
+            velocity.0[axis] += kick * by[axis];
+        }
+        if drive.is_some() {
+            let damped = 1.0 / (1.0 + kick * rate);
+            for axis in 0..3 {
+                velocity.0[axis] *= damped;
+            }
+        }
+        if let Some((_, torque)) = load {
+            let turning = spin.0[3];
+            for axis in 0..3 {
+                spin.0[axis] += kick * (turning * torque.0[axis]);
+            }
         }
     }
 }
 
 simd! {
     /// Kicks and moves particles, takes their forces off, and returns the largest square of a speed against
-    /// `frame`, as bits: those of what is not a number are larger than any other.
-    fn advance[const K: usize](
-        positions: &mut [Quad],
-        velocities: &mut [Quad],
-        spins: &mut [Quad],
-        forces: &mut [Quad],
-        torques: &mut [Quad],
-        drives: &[Quad],
-        kicks: [f64; K],
-        dt: f64,
-        frame: [f64; 3],
-    ) -> u64 {
+    /// `frame`, as bits: those of what is not a number are larger than any other. Forces and torques
+    /// are looked at only where something touched: most memory is left alone.
+    fn advance[const K: usize](bodies: Bodies<'_>, kicks: [f64; K], dt: f64, frame: [f64; 3]) -> u64 {
+        let Bodies { positions, velocities, spins, forces, torques, touched, drives } = bodies;
         let n = positions.len();
         let (velocities, spins) = (&mut velocities[..n], &mut spins[..n]);
         let (forces, torques) = (&mut forces[..n], &mut torques[..n]);
+        let touched = &mut touched[..n];
         let mut most = 0;
         for i in 0..n {
             let velocity = &mut velocities[i];
             let drive = drives.get(i);
-            kicked(kicks, velocity, &mut spins[i], &forces[i], &torques[i], drive);
+            if touched[i] {
+                kick(kicks, velocity, &mut spins[i], Some((&forces[i], &torques[i])), drive);
+                (forces[i], torques[i], touched[i]) = (Quad::default(), Quad::default(), false);
+            } else if drive.is_some() {
+                kick(kicks, velocity, &mut spins[i], None, drive);
+            }
             let mut square = 0.0;
             for axis in 0..3 {
                 positions[i].0[axis] += dt * velocity.0[axis];
                 let speed = velocity.0[axis] - frame[axis];
                 square += speed * speed;
             }
-            forces[i] = Quad::default();
-            torques[i] = Quad::default();
             most = most.max(square.to_bits() & !SIGN);
         }
         most
@@ -105,19 +118,11 @@ const SIGN: u64 = 1 << 63;
 
 simd! {
     /// Kicks particles by half a step.
-    fn finish[](
-        velocities: &mut [Quad],
-        spins: &mut [Quad],
-        forces: &[Quad],
-        torques: &[Quad],
-        drives: &[Quad],
-        dt: f64,
-    ) {
-        let n = velocities.len();
-        let (spins, forces, torques) = (&mut spins[..n], &forces[..n], &torques[..n]);
-        for i in 0..n {
-            let drive = drives.get(i);
-            kicked([0.5 * dt], &mut velocities[i], &mut spins[i], &forces[i], &torques[i], drive);
+    fn finish[](bodies: Bodies<'_>, half: f64) {
+        let Bodies { velocities, spins, forces, torques, touched, drives, .. } = bodies;
+        for i in 0..velocities.len() {
+            let load = touched[i].then(|| (&forces[i], &torques[i]));
+            kick([half], &mut velocities[i], &mut spins[i], load, drives.get(i));
         }
     }
 }
@@ -133,12 +138,11 @@ fn advance_all(parallel: bool, bodies: Bodies, kicks: usize, dt: f64, frame: [f6
         );
         return first.max(second);
     }
-    let Bodies { positions, velocities, spins, forces, torques, drives } = bodies;
     let half = 0.5 * dt;
     if kicks == 1 {
-        advance(positions, velocities, spins, forces, torques, drives, [half], dt, frame)
+        advance(bodies, [half], dt, frame)
     } else {
-        advance(positions, velocities, spins, forces, torques, drives, [half; 2], dt, frame)
+        advance(bodies, [half; 2], dt, frame)
     }
 }
 
@@ -149,7 +153,7 @@ fn finish_all(parallel: bool, bodies: Bodies, dt: f64) {
         join(parallel, || finish_all(parallel, first, dt), || finish_all(parallel, second, dt));
         return;
     }
-    finish(bodies.velocities, bodies.spins, bodies.forces, bodies.torques, bodies.drives, dt);
+    finish(bodies, 0.5 * dt);
 }
 
 impl Dem {
@@ -161,6 +165,7 @@ impl Dem {
             spins: &mut self.spins,
             forces: &mut self.forces[..len],
             torques: &mut self.torques[..len],
+            touched: &mut self.touched[..len],
             drives: &self.drives,
         }
     }

@@ -63,6 +63,13 @@ impl Pair {
     }
 }
 
+/// A pair, and its place in its slab's list.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Near {
+    pub(super) pair: Pair,
+    pub(super) place: u32,
+}
+
 /// A pair in touch.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Touch {
@@ -90,13 +97,13 @@ pub(super) struct Slab {
     pub(super) begin: usize,
     pub(super) pairs: Vec<Pair>,
     /// Pairs that may touch before near pairs are listed next, ascending.
-    pub(super) near: Vec<u32>,
+    pub(super) near: Vec<Near>,
     /// Pairs in touch, ascending.
     pub(super) contacts: Vec<Touch>,
     /// Contacts of the step before.
     pub(super) before: Vec<Touch>,
     /// Pairs found in touch in this step.
-    pub(super) found: Vec<u32>,
+    pub(super) found: Vec<Near>,
     /// Energy of its contacts' springs \[J\].
     pub(super) springs: f64,
     /// Energy lost in its contacts in the last step \[J\].
@@ -109,7 +116,7 @@ impl Slab {
     /// Bytes.
     pub(super) fn memory(&self) -> usize {
         self.pairs.capacity() * size_of::<Pair>()
-            + (self.near.capacity() + self.found.capacity()) * size_of::<u32>()
+            + (self.near.capacity() + self.found.capacity()) * size_of::<Near>()
             + (self.contacts.capacity() + self.before.capacity()) * size_of::<Touch>()
     }
 }
@@ -328,6 +335,7 @@ impl Dem {
         for quads in [&mut self.forces, &mut self.torques] {
             quads.resize(positions.len() + images, Quad::default());
         }
+        self.touched.resize(positions.len() + images, false);
         self.travelled[0] = 0.0;
         self.rebuilds += 1;
         self.list_near();
@@ -351,7 +359,7 @@ impl Dem {
                     let (d, touching) = between(*pair, positions, &images);
                     let reach = touching + near;
                     if d[0] * d[0] + d[1] * d[1] + d[2] * d[2] < reach * reach {
-                        slab.near.push(n as u32);
+                        slab.near.push(Near { pair: *pair, place: n as u32 });
                     }
                 }
             },
@@ -426,13 +434,12 @@ impl Dem {
             1,
             || (),
             |(), _, slab| {
-                let Slab { pairs, near, contacts, .. } = &mut slab[0];
-                for &n in near.iter() {
-                    let pair = pairs[n as usize];
+                let Slab { near, contacts, .. } = &mut slab[0];
+                for &Near { pair, place } in near.iter() {
                     let (a, b) = (pair.first() as u32, pair.second(len) as u32);
                     let wanted = key(a, b);
                     if let Ok(at) = carried.binary_search_by_key(&wanted, |carried| carried.key) {
-                        contacts.push(carried[at].seen_from(a, b, n));
+                        contacts.push(carried[at].seen_from(a, b, place));
                     }
                 }
             },

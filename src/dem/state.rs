@@ -7,7 +7,7 @@
 //! of its first particle, and its pairs, near pairs, and contacts with whether they had their
 //! last kick and their springs, each list after its length (u64), and the energy of the springs (f64). The pairs are there because the order of sums follows them.
 
-use super::pairs::{Pair, Touch};
+use super::pairs::{Near, Pair, Touch};
 use super::{Dem, Quad};
 use std::io::{self, Read, Write};
 
@@ -104,7 +104,7 @@ impl Dem {
             put(to, slab.pairs.len() as u64)?;
             slab.pairs.iter().try_for_each(|pair| put(to, pair.bits()))?;
             put(to, slab.near.len() as u64)?;
-            slab.near.iter().try_for_each(|&near| put(to, near.into()))?;
+            slab.near.iter().try_for_each(|near| put(to, near.place.into()))?;
             put(to, slab.contacts.len() as u64)?;
             for touch in &slab.contacts {
                 put(to, touch.pair.into())?;
@@ -183,8 +183,9 @@ impl Dem {
             }
             slab.near.clear();
             for _ in 0..take_len(from, slab.pairs.len())? {
-                let last = slab.near.last().copied();
-                slab.near.push(take_place(from, last, slab.pairs.len())?);
+                let last = slab.near.last().map(|near| near.place);
+                let place = take_place(from, last, slab.pairs.len())?;
+                slab.near.push(Near { pair: slab.pairs[place as usize], place });
             }
             slab.contacts.clear();
             for _ in 0..take_len(from, slab.pairs.len())? {
@@ -217,6 +218,15 @@ impl Dem {
         for quads in [&mut self.forces, &mut self.torques] {
             quads.truncate(len);
             quads.resize(len + images, Quad::default());
+        }
+        self.touched.clear();
+        self.touched.resize(len + images, false);
+        for slab in &self.slabs {
+            for touch in &slab.contacts {
+                let pair = slab.pairs[touch.pair as usize];
+                self.touched[pair.first()] = true;
+                self.touched[pair.second(len)] = true;
+            }
         }
         Ok(())
     }
