@@ -83,8 +83,8 @@ pub struct Setup {
     pub parallel: bool,
 }
 
-/// Skin that was fastest at solids fractions from 0.05 to 0.6, in diameters of the largest sphere \[-\].
-pub const SKIN: f64 = 0.3;
+/// Skin that serves solids fractions from 0.05 to 0.6, in diameters of the largest sphere \[-\].
+pub const SKIN: f64 = 0.2;
 
 /// A set-up that cannot be simulated.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -514,7 +514,7 @@ fn check(setup: &Setup, spheres: &[Sphere]) -> Result<(), SetupError> {
         ("size of the box along axis 1", setup.size[1], positive(setup.size[1]), "positive"),
         ("size of the box along axis 2", setup.size[2], positive(setup.size[2]), "positive"),
         ("stiffness", stiffness, positive(stiffness), "positive"),
-        ("restitution", restitution, restitution >= 0.01 && restitution <= 1.0, "from 0.01 to 1"),
+        ("restitution", restitution, (0.01..=1.0).contains(&restitution), "from 0.01 to 1"),
         (
             "tangential stiffness",
             tangential_stiffness,
@@ -550,7 +550,7 @@ fn check(setup: &Setup, spheres: &[Sphere]) -> Result<(), SetupError> {
         if !positive(it.diameter) {
             return bad("diameter", it.diameter, "positive");
         }
-        if !(it.density > 0.0) {
+        if it.density.is_nan() || it.density <= 0.0 {
             return bad("density", it.density, "positive, infinite if held");
         }
         for axis in 0..3 {

@@ -10,7 +10,7 @@ use crate::rows::each_chunk;
 use std::ops::Range;
 
 /// Skin of the near pairs over that of the pairs \[-\].
-const NEAR: f64 = 0.1;
+const NEAR: f64 = 0.06;
 
 /// Bits of a particle's place in [`Pair::first`]; above them lies the image.
 const PLACE: u32 = 27;
@@ -139,7 +139,6 @@ pub(super) struct Cells {
 pub(super) struct Scratch {
     cell: Vec<u32>,
     order: Vec<u32>,
-    quads: Vec<Quad>,
     carried: Vec<Carried>,
 }
 
@@ -147,7 +146,6 @@ impl Scratch {
     /// Bytes.
     pub(super) fn memory(&self) -> usize {
         (self.cell.capacity() + self.order.capacity()) * size_of::<u32>()
-            + self.quads.capacity() * size_of::<Quad>()
             + self.carried.capacity() * size_of::<Carried>()
     }
 }
@@ -284,7 +282,7 @@ fn turn(cell: isize, n: usize) -> (usize, isize) {
 fn permute<T: Copy + Send + Sync>(
     parallel: bool,
     order: &[u32],
-    items: &mut Vec<T>,
+    items: &mut [T],
     scratch: &mut Vec<T>,
 ) {
     if items.is_empty() {
@@ -333,6 +331,7 @@ impl Dem {
         // The first slab's images above the last.
         let images = cells.starts[layer] as usize;
         for quads in [&mut self.forces, &mut self.torques] {
+            quads.clear();
             quads.resize(positions.len() + images, Quad::default());
         }
         self.touched.resize(positions.len() + images, false);
@@ -401,8 +400,9 @@ impl Dem {
         cells.starts.rotate_right(1);
         cells.starts[0] = 0;
         let order = &scratch.order[..];
+        // The forces, which are zero, make room for what is moved.
         for quads in [positions, &mut self.velocities, &mut self.spins, &mut self.drives] {
-            permute(parallel, order, quads, &mut scratch.quads);
+            permute(parallel, order, quads, &mut self.forces);
         }
         // The cells are no longer needed, and make room for the new place of each old one.
         let new = &mut scratch.cell;

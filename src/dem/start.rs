@@ -113,7 +113,7 @@ pub fn packed(
 ) -> Result<Vec<Sphere>, StartError> {
     let solids: f64 = diameters.iter().map(|d| PI / 6.0 * d.powi(3)).sum();
     let fraction = solids / size.iter().product::<f64>();
-    if !(fraction <= DENSEST) {
+    if fraction.is_nan() || fraction > DENSEST {
         return Err(StartError::Fraction { fraction, most: DENSEST, how: "at random" });
     }
     let mut random = Pcg64Mcg::seed_from_u64(seed);
