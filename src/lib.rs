@@ -12,6 +12,7 @@ pub mod real;
 pub mod rows;
 pub mod stencil;
 
+pub mod dem;
 pub mod laws;
 pub mod two_fluid;
 

@@ -7,6 +7,7 @@
 
 mod cooling;
 mod decay;
+mod dem;
 mod dual;
 mod front;
 mod growth;
@@ -140,7 +141,7 @@ fn setup(solids_fraction: f64) -> Setup {
 }
 
 /// All checks.
-const CHECKS: [Check; 10] = [
+const CHECKS: [Check; 11] = [
     Check { name: "manufactured", run: manufactured::check },
     Check { name: "growth", run: growth::check },
     Check { name: "cooling", run: cooling::check },
@@ -151,6 +152,7 @@ const CHECKS: [Check; 10] = [
     Check { name: "conservation", run: symmetry::conservation },
     Check { name: "moving-frame", run: symmetry::moving_frame },
     Check { name: "pressure", run: pressure::check },
+    Check { name: "dem", run: dem::check },
 ];
 
 /// What was verified.

@@ -4,8 +4,10 @@ mod common;
 
 use common::{GAS, POWDER};
 use favre::case::{DragChoice, FrictionChoice, RadialDistributionChoice, Terms};
+use favre::dem::{Dem, SKIN, Setup, packed, thermal};
 use favre::grid::Grid;
-use favre::two_fluid::{Setup, TwoFluid};
+use favre::laws::contact::Contact;
+use favre::two_fluid::{self, TwoFluid};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
@@ -33,7 +35,7 @@ unsafe impl GlobalAlloc for Counting {
 static ALLOCATOR: Counting = Counting;
 
 fn allocations_of_steps<const D: usize>(cells: [usize; D]) -> usize {
-    let setup = Setup {
+    let setup = two_fluid::Setup {
         powder: POWDER,
         gas: GAS,
         gravity: 9.81,
@@ -56,8 +58,30 @@ fn allocations_of_steps<const D: usize>(cells: [usize; D]) -> usize {
     ALLOCATIONS.get() - before
 }
 
+/// Steps of spheres in touch, with rebuilds of their pairs among them.
+fn allocations_of_spheres() -> usize {
+    let contact = Contact {
+        stiffness: 14.0,
+        restitution: 1.0,
+        tangential_stiffness: 2.0 / 7.0,
+        tangential_damping: 0.5,
+        friction: 0.3,
+    };
+    let size = [1.2e-3; 3];
+    let mut spheres = packed(size, &[75e-6; 2500], 1500.0, 1, false).unwrap();
+    thermal(&mut spheres, 0.01, 1);
+    let setup = Setup { size, contact, steps_per_contact: 50.0, skin: SKIN, parallel: false };
+    let mut dem = Dem::new(setup, &spheres).unwrap();
+    dem.run(5000).unwrap();
+    let (before, rebuilds) = (ALLOCATIONS.get(), dem.rebuilds());
+    dem.run(500).unwrap();
+    assert!(dem.rebuilds() > rebuilds + 2);
+    ALLOCATIONS.get() - before
+}
+
 #[test]
 fn a_step_allocates_nothing() {
+    assert_eq!(allocations_of_spheres(), 0, "spheres");
     assert_eq!(allocations_of_steps([32, 32]), 0, "2-D");
     assert_eq!(allocations_of_steps([8, 8, 16]), 0, "3-D");
     // The count works: building a solver allocates.

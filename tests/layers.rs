@@ -15,6 +15,7 @@ const ALLOWED: &[(&str, &str)] = &[
     ("poisson", "field grid real rows"),
     ("laws", "real"),
     ("two_fluid", "case field fine grid laws poisson real rows stencil"),
+    ("dem", "laws rows"),
     ("fine", "grid"),
     ("filter", "grid"),
     ("lanes", ""),
@@ -61,7 +62,7 @@ const ALLOWED: &[(&str, &str)] = &[
         "blocking case extrapolation filter filtered fine grid laws real rows series simulate statistics two_fluid",
     ),
     ("hard", "case grid laws real two_fluid"),
-    ("verify", "case field grid laws poisson real stability two_fluid"),
+    ("verify", "case dem field grid laws poisson real stability two_fluid"),
 ];
 
 /// Outside dependencies that only some modules may name.
