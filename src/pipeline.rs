@@ -365,7 +365,7 @@ fn simulate_box(
         }
     };
     let mut bar = progress.start(fraction, case.run.duration);
-    let watch = |signals: &_, steps| bar.update(signals, steps);
+    let watch = |signals: &_, pace| bar.update(signals, pace);
     let recorder = Recorder::new(case, checkpoints.fields(fraction));
     if let Some(recorder) = &recorder {
         recorder.begin(kept.as_ref().map_or(0, |kept| kept.signals.time.len() as u64 - 1))?;

@@ -165,6 +165,7 @@ fn many_runs_make_one_page() {
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     let html = reported(temp.path(), &names);
     assert_eq!(html.matches("<details class=\"run\"").count(), 12);
+    assert!(html.len() < 3_000_000, "{} bytes", html.len());
     let ids = attributes(&html, " id");
     let mut different = ids.clone();
     different.sort_unstable();

@@ -16,6 +16,9 @@ const FEW: usize = 4;
 /// Runs from which on each is folded away.
 const MANY: usize = 3;
 
+/// Most runs that are shown in full on one page.
+const MOST_IN_FULL: usize = 8;
+
 /// Filter width at which several runs are compared, in either reference length.
 const COMMON_WIDTHS: [(ReferenceLength, f64); 2] =
     [(ReferenceLength::One, 2.0), (ReferenceLength::Two, 30.0)];
@@ -101,10 +104,23 @@ fn several(folders: &[Folder]) -> Markup {
                 0,
             ))
         }
+        @if folders.len() > MOST_IN_FULL {
+            p {
+                "Of so many runs this page has the numbers; the figures of one are on its own page, by "
+                code { "favre report DIR" } "."
+            }
+        }
         @for (i, folder) in folders.iter().enumerate() {
             details.run #(format!("run-{i}")) open[folders.len() < MANY] {
                 summary { (folder.name) }
-                (run(folder, i + 1, true))
+                @if folders.len() > MOST_IN_FULL {
+                    (warnings(folder))
+                    (asked(folder))
+                    (sure(folder))
+                    (boxes(folder, &[], i + 1, true))
+                } @else {
+                    (run(folder, i + 1, true))
+                }
             }
         }
     }
@@ -145,14 +161,7 @@ fn run(folder: &Folder, place: usize, among_several: bool) -> Markup {
                 @for (name, title) in sections { li { a href=(format!("#{}", id(name))) { (title) } } }
             } }
         }
-        @if !folder.missing.is_empty() {
-            p { strong { "This run is not complete. " } "What is here is drawn; missing is:" }
-            ul.warnings { @for what in &folder.missing { li { (what) } } }
-        }
-        @if !folder.facts.warnings.is_empty() {
-            h3 { "Warnings" }
-            ul.warnings { @for warning in &folder.facts.warnings { li { (warning) } } }
-        }
+        (warnings(folder))
         (heading("asked"))
         (asked(folder))
         (heading("answer"))
@@ -178,6 +187,20 @@ fn run(folder: &Folder, place: usize, among_several: bool) -> Markup {
         (cost(folder))
         (heading("source"))
         (source(folder))
+    }
+}
+
+/// What a reader must know before the numbers.
+fn warnings(folder: &Folder) -> Markup {
+    html! {
+        @if !folder.missing.is_empty() {
+            p { strong { "This run is not complete. " } "What is here is drawn; missing is:" }
+            ul.warnings { @for what in &folder.missing { li { (what) } } }
+        }
+        @if !folder.facts.warnings.is_empty() {
+            h3 { "Warnings" }
+            ul.warnings { @for warning in &folder.facts.warnings { li { (warning) } } }
+        }
     }
 }
 
@@ -376,7 +399,7 @@ fn boxes(folder: &Folder, all: &[Drawing], place: usize, among_several: bool) ->
         @for one in all.iter().filter(|one| one.name.starts_with("slip_")).take(few) {
             (drawing(one, place))
         }
-        @if !folder.snapshots.is_empty() {
+        @if !folder.snapshots.is_empty() && !all.is_empty() {
             div.snapshots { @for (name, png) in &folder.snapshots {
                 figure {
                     img src=(format!("data:image/png;base64,{}", STANDARD.encode(png)))
