@@ -34,6 +34,10 @@ const FEWEST: usize = 40;
 /// Share of replicates that may leave a coefficient open which the data are said to fix.
 const OPEN: f64 = 0.05;
 
+/// Smoothing of a surface fitted to a replicate, over that of the surface. What is smoothed away is a
+/// bias, which no replicate shows; with less of it they scatter by more than it hides.
+const SHARPER: f64 = 0.01;
+
 /// Formula of a surface, for the reader.
 const SURFACE: &str = "H = sum of c_ij N_i(x) N_j(y), x = ln(1 + phi/phi_0), y = D/(D + D_0); quadratic \
                        B-splines, 0 at phi = 0 and D = 0, never less for a wider filter; \
@@ -79,7 +83,7 @@ impl Shape {
             (Self::Form(form), _) => Fitted::Form(fit(form, rows, ReferenceLength::One)?),
             (Self::Spline, start) => {
                 let smoothing = match start {
-                    Some(Fitted::Spline(start)) => Some(start.smoothing),
+                    Some(Fitted::Spline(start)) => Some(SHARPER * start.smoothing),
                     _ => None,
                 };
                 Fitted::Spline(fit_spline(rows, ReferenceLength::One, packing, smoothing)?)
@@ -249,14 +253,8 @@ impl Candidate {
                 fit.notes.clone()
             }
             Fitted::Spline(fit) => {
-                let share = 100.0 * fit.inside;
-                let mut notes =
-                    vec![format!("{share:.1} % of the bins' 95 % intervals hold the surface.")];
                 let widths = fit.ranges[1];
-                if widths.low > 0.0 {
-                    notes.push(one_width(widths.high));
-                }
-                notes
+                (widths.low > 0.0).then(|| one_width(widths.high)).into_iter().collect()
             }
         };
         Self {
@@ -562,6 +560,10 @@ impl fmt::Display for Candidate {
             "{:16} {:22} {:6} {:8.4} {:>8}",
             self.name, self.quantity, self.points, self.r_squared, held_out
         )?;
+        if let Fitted::Spline(fit) = &self.fitted {
+            let share = 100.0 * fit.inside;
+            write!(f, "\n    {share:.1} % of the bins' 95 % intervals hold the surface")?;
+        }
         for c in &self.coefficients {
             let Coefficient { symbol, value, low_95, high_95, held, .. } = c;
             match held {
@@ -635,13 +637,13 @@ mod tests {
         println!("curve {form:.3}, surface {surface:.3}, coefficients {coefficients:.3}");
         assert!((0.90..=0.99).contains(&form), "{form}");
         assert!((0.90..=0.99).contains(&coefficients), "{coefficients}");
-        // What is smoothed away is not in the scatter of replicates.
-        assert!(surface >= 0.80, "{surface}");
+        assert!((0.85..=1.0).contains(&surface), "{surface}");
     }
 
     #[test]
     fn a_coefficient_that_replicates_leave_open_has_no_interval() {
-        let rows = synthetic(&WIDTHS, 0.44, 0.02, 4);
+        // Nothing above a solids fraction of 0.2 says where H closes.
+        let rows = synthetic(&WIDTHS, 0.2, 0.02, 4);
         let bins = Bins::of_tables(vec![rows], 100, 1);
         let found = refit(&bins, Shape::Form(&SaturatingDrag)).unwrap();
         for c in &found.coefficients {
