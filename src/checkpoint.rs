@@ -53,6 +53,9 @@ const BOX: &str = "box_";
 const STATE: &str = ".state";
 const PARTIAL: &str = ".partial";
 
+/// What the name of the folder of checkpoints ends with.
+const CHECKPOINT: &str = ".checkpoint";
+
 /// How the name of the folder of a box's snapshots begins.
 const FIELDS: &str = "fields_";
 
@@ -217,7 +220,7 @@ impl Checkpoints {
         interval: Option<Duration>,
     ) -> Result<Self, CheckpointError> {
         let mut checkpoints = Self::new(output, case, interval, false);
-        let files = checkpoints.files(STATE)?;
+        let files = files(&checkpoints.dir, STATE)?;
         if files.is_empty() {
             return Err(CheckpointError::Absent { dir: checkpoints.dir });
         }
@@ -231,7 +234,7 @@ impl Checkpoints {
 
     fn new(output: &Path, case: &Case, interval: Option<Duration>, replaces: bool) -> Self {
         Self {
-            dir: beside(output, ".checkpoint"),
+            dir: beside(output, CHECKPOINT),
             interval,
             case: case.to_toml(),
             duration: samples(case) as f64 * case.run.sample_interval,
@@ -248,7 +251,7 @@ impl Checkpoints {
 
     /// Whether no box is kept.
     pub fn is_empty(&self) -> bool {
-        self.files(STATE).is_ok_and(|files| files.is_empty())
+        files(&self.dir, STATE).is_ok_and(|files| files.is_empty())
     }
 
     /// Whether the run is to replace an earlier one of its name.
@@ -294,13 +297,13 @@ impl Checkpoints {
     /// # Errors
     /// A file cannot be removed.
     pub fn remove(&self) -> Result<(), CheckpointError> {
-        for path in self.entries()?.into_iter().filter(|path| name_starts_with(path, FIELDS)) {
+        for path in entries(&self.dir)?.into_iter().filter(|path| name_starts_with(path, FIELDS)) {
             if let Err(source) = fs::remove_dir_all(&path) {
                 return Err(CheckpointError::Remove { path, source });
             }
         }
         // A run that is killed while it writes leaves a partial file.
-        for path in self.files(PARTIAL)?.into_iter().chain(self.files(STATE)?) {
+        for path in files(&self.dir, PARTIAL)?.into_iter().chain(files(&self.dir, STATE)?) {
             if let Err(source) = fs::remove_file(&path) {
                 return Err(CheckpointError::Remove { path, source });
             }
@@ -316,29 +319,6 @@ impl Checkpoints {
 
     fn path(&self, solids_fraction: f64) -> PathBuf {
         self.dir.join(format!("{BOX}{solids_fraction}{STATE}"))
-    }
-
-    /// The boxes' files whose names end with `end`, in the order of their names.
-    fn files(&self, end: &str) -> Result<Vec<PathBuf>, CheckpointError> {
-        let mut files = self.entries()?;
-        let name = |path: &PathBuf| path.to_string_lossy().ends_with(end);
-        files.retain(|path| name_starts_with(path, BOX) && name(path));
-        Ok(files)
-    }
-
-    /// What stands in the folder, in the order of the names.
-    fn entries(&self) -> Result<Vec<PathBuf>, CheckpointError> {
-        let read = |source| CheckpointError::Read { path: self.dir.clone(), source };
-        let entries = match fs::read_dir(&self.dir) {
-            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
-            entries => entries.map_err(read)?,
-        };
-        let mut files = Vec::new();
-        for entry in entries {
-            files.push(entry.map_err(read)?.path());
-        }
-        files.sort();
-        Ok(files)
     }
 
     /// Writes the file of a box: under another name until it is whole and on disk.
@@ -371,15 +351,9 @@ impl Checkpoints {
         })
     }
 
-    /// Reads the file of a box, once all of it has been found to be as it was written.
+    /// Reads the file of a box of this case, once all of it has been found to be as it was written.
     fn read(&self, path: &Path) -> Result<(Header, Kept), CheckpointError> {
-        let found = open(path, MAGIC, FORMAT, "checkpoint of a box")
-            .and_then(|mut file| Ok((Header::read(&mut file)?, file)));
-        let (header, mut file) = found.map_err(|error| at(error, path))?;
-        if header.version != VERSION {
-            let found = header.version;
-            return Err(CheckpointError::Version { path: path.into(), found });
-        }
+        let (header, kept) = read(path)?;
         if let Some((key, theirs, ours)) = difference(&header.case, &self.case) {
             return Err(CheckpointError::Case { path: path.into(), key, theirs, ours });
         }
@@ -387,14 +361,73 @@ impl Checkpoints {
             let Self { duration, .. } = *self;
             return Err(CheckpointError::Passed { path: path.into(), time: header.time, duration });
         }
-        let mut rest = || {
-            let signals = take_signals(&mut file)?;
-            Ok::<_, Fault>((signals, take_cost(&mut file)?, take_sums(&mut file)?))
-        };
-        let (signals, cost, sums) = rest().map_err(|error| at(error, path))?;
-        let time = header.time;
-        Ok((header, Kept { time, signals, cost, sums, flow: Box::new(file) }))
+        Ok((header, kept))
     }
+}
+
+/// Reads the file of a box of any case.
+fn read(path: &Path) -> Result<(Header, Kept), CheckpointError> {
+    let found = open(path, MAGIC, FORMAT, "checkpoint of a box")
+        .and_then(|mut file| Ok((Header::read(&mut file)?, file)));
+    let (header, mut file) = found.map_err(|error| at(error, path))?;
+    if header.version != VERSION {
+        let found = header.version;
+        return Err(CheckpointError::Version { path: path.into(), found });
+    }
+    let mut rest = || {
+        let signals = take_signals(&mut file)?;
+        Ok::<_, Fault>((signals, take_cost(&mut file)?, take_sums(&mut file)?))
+    };
+    let (signals, cost, sums) = rest().map_err(|error| at(error, path))?;
+    let time = header.time;
+    Ok((header, Kept { time, signals, cost, sums, flow: Box::new(file) }))
+}
+
+/// What an interrupted run that was to fill `output` kept.
+pub struct Interrupted {
+    /// Its case file, resolved.
+    pub case: String,
+    /// Mean solids fraction and state of each box that was kept.
+    pub boxes: Vec<(f64, Kept)>,
+}
+
+impl Interrupted {
+    /// What stands beside `output`; none if nothing does.
+    ///
+    /// # Errors
+    /// A file there is damaged or of another version.
+    pub fn read(output: &Path) -> Result<Option<Self>, CheckpointError> {
+        let mut found: Option<Self> = None;
+        for path in files(&beside(output, CHECKPOINT), STATE)? {
+            let (header, kept) = read(&path)?;
+            let run = found.get_or_insert(Self { case: header.case, boxes: Vec::new() });
+            run.boxes.push((header.solids_fraction, kept));
+        }
+        Ok(found)
+    }
+}
+
+/// The boxes' files in the folder `dir` whose names end with `end`, in the order of their names.
+fn files(dir: &Path, end: &str) -> Result<Vec<PathBuf>, CheckpointError> {
+    let mut files = entries(dir)?;
+    let name = |path: &PathBuf| path.to_string_lossy().ends_with(end);
+    files.retain(|path| name_starts_with(path, BOX) && name(path));
+    Ok(files)
+}
+
+/// What stands in the folder `dir`, in the order of the names.
+fn entries(dir: &Path) -> Result<Vec<PathBuf>, CheckpointError> {
+    let read = |source| CheckpointError::Read { path: dir.into(), source };
+    let entries = match fs::read_dir(dir) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(read)?,
+    };
+    let mut files = Vec::new();
+    for entry in entries {
+        files.push(entry.map_err(read)?.path());
+    }
+    files.sort();
+    Ok(files)
 }
 
 fn name_starts_with(path: &Path, start: &str) -> bool {

@@ -82,6 +82,45 @@ Read are .vti .vtr .vtu .vtp (.pvd), .npy .npz, .csv, OpenFOAM cases and time fo
 
 Exit status: 0 done, 1 failed, 2 misuse, 130 interrupted.";
 
+const FIT_EXAMPLES: &str = "\
+Examples:
+  favre fit favre-out/my-powder                     the surface and the default form of H
+  favre fit favre-out/seed-* --form slip_drag,saturating_drag,spline --out fit
+  favre fit favre-out/my-powder --form drift_velocity,smagorinsky
+  favre fit favre-out/my-powder --form my-form.toml a form of one's own
+  favre fit bins.csv                                a bin table alone, with narrower intervals
+
+Forms: spline (no form: a smooth surface over solids fraction and filter width), saturating_drag,
+slip_drag, drift_velocity, drift_pressure, smagorinsky, viscosity_power, pressure_power. A file is
+
+  name = \"mine\"
+  predicts = \"drag_correction\"                      a quantity of bins.csv
+  unit = \"-\"                                        or what value_scaled is scaled by
+  markers = [\"solids_fraction\", \"filter_width\"]   phi, D; slip: V, shear_rate: S, pressure_gradient: G
+  formula = \"a*D/(D + b)*(1 - phi/0.65)\"
+  [[parameters]]
+  name = \"a\"
+  start = 0.8
+  low = 0.0                                         with high: between; 0 alone: positive; none: any
+  high = 1.0
+
+Each run (a box of one mean solids fraction) is left out once; the form that predicts it best from the
+others is the closure. Intervals are of refits to bootstrap replicates of all bins together. What the
+data do not fix is named and has no interval.
+
+Exit status: 0 done, 1 failed, 2 misuse, or nothing could be fitted.";
+
+const EXPONENTS_EXAMPLES: &str = "\
+Examples:
+  favre exponents favre-out/fine favre-out/coarse   runs of two powders
+  favre exponents favre-out/my-powder               powers of the filter width alone
+
+Runs of several powders, of the same widths in L_I and the same bins, collapse in Δ_f/L(n),
+L(n) = L_I Fr_p^n: n = 0 is L_I = u_t²/g, n = -2/3 is L_II = d Fr_p^(1/3). Powers of the shear rate need
+it among the markers of [filter].
+
+Exit status: 0 done, 2 misuse.";
+
 const MODELS_EXAMPLES: &str = "\
 Examples:
   favre models list
@@ -108,6 +147,17 @@ vectors. A closure that a target cannot take is refused with the reason and the 
 
 Exit status: 0 done, 1 failed, 2 misuse or refused.";
 
+const REPORT_EXAMPLES: &str = "\
+Examples:
+  favre report favre-out/default                    favre-out/default/report.html, as a run leaves it
+  favre report favre-out/* --out all.html           several runs, side by side and each
+  favre report favre-out/default --figures paper    and its figures, as SVG and PNG
+  favre report favre-out/interrupted                a run as far as it went, from its checkpoints
+
+The page needs no other file and no network. Numbers behind a figure are a click away.
+
+Exit status: 0 done, 1 failed, 2 misuse.";
+
 const STABILITY_EXAMPLES: &str = "\
 Examples:
   favre stability my-powder.toml            table and figure go to favre-out/my-powder-stability
@@ -133,10 +183,16 @@ pub enum Command {
     Simulate(Run),
     /// Bin fields on disk, one's own or anyone's, or put runs together from their sums
     Filter(Filter),
+    /// Fit forms to runs: coefficients with intervals, scores on runs left out, a closure
+    Fit(Fit),
+    /// With which length runs of different powders collapse, and how stresses grow with the filter
+    Exponents(Exponents),
     /// Closures, published and one's own: list, show, evaluate, compare, check
     Models(Models),
     /// A closure for OpenFOAM, MFIX, Fluent, C, Fortran, as tables, or for a paper
     Export(Export),
+    /// What runs found, as one page to look at
+    Report(Report),
     /// Growth of waves on a case's uniform state, and the grid and box they ask for
     Stability(Stability),
     /// Measure how fast this machine runs the kernels
@@ -212,6 +268,52 @@ pub struct Filter {
     /// Say nothing but errors
     #[arg(long, short)]
     pub quiet: bool,
+    /// Print what was found as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `favre fit`.
+#[derive(Args, Debug)]
+#[command(after_help = FIT_EXAMPLES)]
+pub struct Fit {
+    /// Folders of runs of one powder, their sums.favre or bins.csv
+    #[arg(value_name = "RUN", required = true)]
+    pub paths: Vec<PathBuf>,
+    /// Forms by name, or a file with one's own
+    #[arg(
+        long,
+        value_name = "NAME|FORM.toml",
+        value_delimiter = ',',
+        default_value = "saturating_drag,spline"
+    )]
+    pub form: Vec<String>,
+    /// Bootstrap replicates
+    #[arg(long, value_name = "N", default_value = "200",
+        value_parser = clap::value_parser!(u16).range(40..=10000))]
+    pub replicates: u16,
+    /// Folder for model.toml and run.json [default: favre-out/fit]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Replace earlier results, once the new ones are complete
+    #[arg(long)]
+    pub force: bool,
+    /// Print what was found as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `favre exponents`.
+#[derive(Args, Debug)]
+#[command(after_help = EXPONENTS_EXAMPLES)]
+pub struct Exponents {
+    /// Folders of runs, each of one powder, their sums.favre or bins.csv
+    #[arg(value_name = "RUN", required = true)]
+    pub paths: Vec<PathBuf>,
+    /// Bootstrap replicates; 0 for errors of one fit
+    #[arg(long, value_name = "N", default_value = "100",
+        value_parser = clap::value_parser!(u16).range(0..=10000))]
+    pub replicates: u16,
     /// Print what was found as JSON
     #[arg(long)]
     pub json: bool,
@@ -356,6 +458,24 @@ fn target(text: &str) -> Result<Target, String> {
         let names = TARGETS.map(|(name, _)| name).join(", ");
         format!("the targets are {names}")
     })
+}
+
+/// `favre report`.
+#[derive(Args, Debug)]
+#[command(after_help = REPORT_EXAMPLES)]
+pub struct Report {
+    /// Folders of runs; of a run that was interrupted, the folder that it was to fill
+    #[arg(value_name = "DIR", required = true)]
+    pub paths: Vec<PathBuf>,
+    /// The page [default: report.html in DIR, of several runs favre-out/report.html]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Write its figures too, as SVG and PNG, to this folder
+    #[arg(long, value_name = "DIR")]
+    pub figures: Option<PathBuf>,
+    /// Replace earlier figures, once the new ones are complete
+    #[arg(long)]
+    pub force: bool,
 }
 
 /// `favre stability`.

@@ -18,8 +18,9 @@
 
 use crate::expression::{Expression, Meaning, Program};
 use crate::fit::{Coefficient, Goodness, ReferenceLength, ValidRange};
-use crate::forms::{self, Marker};
-use crate::model::{Definitions, Model, Outside, System};
+use crate::forms::Marker;
+use crate::model::{Definitions, Outside, System};
+use crate::refit::{Candidate, Fitted};
 use crate::spline::Spline;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -73,23 +74,47 @@ pub struct ClosureFile {
     pub known_flaws: Vec<KnownFlaw>,
 }
 
-/// What a fit knows of its coefficients, which are constants of the file.
+/// What a fit knows of its coefficients, which are constants of the file, and of its curve.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FitFile {
-    /// Name of the form, see [`forms::FORMS`].
+    /// Name of the form, see [`forms::FORMS`](crate::forms::FORMS); `spline` for a surface, or a user's.
     pub form: String,
     /// Its formula, for the reader.
     pub formula: String,
     /// Seed of the run; none where there were several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
+    /// Score on runs that the fit has not seen, 1 - Σ n residual²/Σ n (value - mean)²; none of one run.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held_out: Option<f64>,
+    /// Replicates of the bins that it was fitted to again: intervals are theirs; 0: those of one fit.
+    #[serde(default)]
+    pub replicates: usize,
     /// Covariance of the coefficients, in their order.
     pub covariance: Vec<Vec<f64>>,
     /// How well the form follows the bins.
     pub goodness: Goodness,
     /// The coefficients with their intervals; each symbol is a constant of this value.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub coefficients: Vec<Coefficient>,
+    /// The curve with its intervals.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub curve: Option<Curve>,
+}
+
+/// Points of a fitted curve with their 95 % intervals, column by column.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Curve {
+    /// Values.
+    pub value: Vec<f64>,
+    /// Lower ends.
+    pub low_95: Vec<f64>,
+    /// Upper ends.
+    pub high_95: Vec<f64>,
+    /// Value of each marker.
+    pub at: BTreeMap<Marker, Vec<f64>>,
 }
 
 /// Whether all of a publication is there.
@@ -196,20 +221,20 @@ pub enum ClosureError {
         nearest: Option<String>,
     },
     /// The file cannot be read.
-    #[error("{path}: {source}")]
+    #[error("{path}: {why}")]
     Unreadable {
         /// File.
         path: PathBuf,
         /// What the system says.
-        source: std::io::Error,
+        why: std::io::Error,
     },
     /// Not TOML, an unknown or missing key, a value of the wrong kind.
-    #[error("{path}: {source}")]
+    #[error("{path}: {why}")]
     Invalid {
         /// File.
         path: PathBuf,
         /// What the parser says, with line and column.
-        source: Box<toml::de::Error>,
+        why: Box<toml::de::Error>,
     },
     /// Something in the file makes no sense.
     #[error("{path}: {place}: {why}")]
@@ -253,64 +278,116 @@ built_in!(
 /// More characters than this in all formulae together are a mistake.
 const LONGEST: usize = 100_000;
 
+/// A range with two ends: one filter width alone holds within a thousandth.
+fn ended(range: ValidRange) -> ValidRange {
+    let low = if range.low < range.high { range.low } else { 0.999 * range.high };
+    ValidRange { low, ..range }
+}
+
+/// Points of a grid over the ranges, at these shares of the first marker's and every other one's range,
+/// and at these of the second's.
+fn grid(ranges: &[ValidRange], first: &[f64], second: &[f64]) -> Vec<Vec<f64>> {
+    let point = |a: f64, b: f64| {
+        let at = |(k, range): (usize, &ValidRange)| {
+            let share = if k % 2 == 0 { a } else { b };
+            range.low + share * (range.high - range.low)
+        };
+        ranges.iter().enumerate().map(at).collect()
+    };
+    first.iter().flat_map(|a| second.iter().map(move |b| point(*a, *b))).collect()
+}
+
+/// Test vectors at the ends of the ranges, between them and beyond.
+fn vectors(fitted: &Fitted, ranges: &[ValidRange]) -> Vec<Vector> {
+    let clamped = |point: &[f64]| -> Vec<f64> {
+        ranges.iter().zip(point).map(|(range, x)| x.clamp(range.low, range.high)).collect()
+    };
+    let vector = |point: Vec<f64>| Vector {
+        expected: fitted.at(&clamped(&point)),
+        at: ranges.iter().map(|range| range.marker).zip(point).collect(),
+    };
+    let shares = [0.0, 0.2, 0.5, 0.8, 1.0, 1.25];
+    grid(ranges, &shares, &[0.0, 0.1, 0.3, 1.0, 2.0]).into_iter().map(vector).collect()
+}
+
+/// The curve with its intervals, on a grid over the ranges that is finer where closures bend.
+fn curve(candidate: &Candidate, ranges: &[ValidRange]) -> Curve {
+    let first = [0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0];
+    let points = grid(ranges, &first, &[0.05, 0.125, 0.25, 0.5, 1.0]);
+    let estimates: Vec<_> = points.iter().map(|point| candidate.estimate(point)).collect();
+    let column = |k: usize| points.iter().map(|point| point[k]).collect();
+    Curve {
+        value: estimates.iter().map(|e| e.value).collect(),
+        low_95: estimates.iter().map(|e| e.low_95).collect(),
+        high_95: estimates.iter().map(|e| e.high_95).collect(),
+        at: ranges.iter().enumerate().map(|(k, range)| (range.marker, column(k))).collect(),
+    }
+}
+
 impl ClosureFile {
-    /// A fitted model as a closure file.
-    ///
-    /// # Panics
-    /// If its form is not in [`forms::FORMS`].
-    pub fn fitted(model: &Model) -> Self {
-        let form = forms::form(&model.form).expect("a fit is of a known form");
-        let constants = model.coefficients.iter().map(|c| (c.symbol.clone(), c.value)).collect();
-        let test_vectors = model
-            .test_vectors
-            .iter()
-            .map(|v| Vector {
-                at: BTreeMap::from([
-                    (Marker::SolidsFraction, v.solids_fraction),
-                    (Marker::FilterWidth, v.filter_width),
-                ]),
-                expected: v.expected,
-            })
-            .collect();
-        let quantity = QuantityFile {
-            predicts: model.predicts.clone(),
-            unit: model.unit.clone(),
-            formula: form.expression().into(),
-            exponents: BTreeMap::new(),
-            ranges: model.ranges.clone(),
-            test_vectors,
+    /// A fit as a closure file, from the run or runs `name` of `seed`.
+    pub fn fitted(
+        name: &str,
+        candidate: &Candidate,
+        seed: Option<u64>,
+        system: Option<System>,
+        definitions: Definitions,
+    ) -> Self {
+        let fitted = &candidate.fitted;
+        let goodness = *fitted.goodness();
+        let ranges: Vec<ValidRange> = fitted.ranges().iter().map(|range| ended(*range)).collect();
+        let (formula, splines) = match fitted {
+            Fitted::Form(fit) => (fit.form.expression().to_owned(), BTreeMap::new()),
+            Fitted::Spline(fit) => {
+                let splines = BTreeMap::from([("h".to_owned(), fit.spline.clone())]);
+                ("h".to_owned(), splines)
+            }
         };
-        let fit = FitFile {
-            form: model.form.clone(),
-            formula: model.formula.clone(),
-            seed: model.source.seed,
-            covariance: model.covariance.clone(),
-            goodness: model.goodness,
-            coefficients: model.coefficients.clone(),
-        };
+        let constants = fitted.coefficients().iter().map(|c| (c.symbol.clone(), c.value)).collect();
         Self {
-            name: model.name.clone(),
+            name: name.into(),
             title: format!(
-                "fitted by Favre to {} bins, R² = {:.3}",
-                model.goodness.points, model.goodness.r_squared
+                "{} fitted by Favre to {} bins, R² = {:.3}",
+                fitted.name(),
+                goodness.points,
+                goodness.r_squared
             ),
             status: Status::Full,
             missing: Vec::new(),
-            reference_length: model.reference_length,
-            outside: model.outside,
-            notes: model.notes.clone(),
+            reference_length: fitted.reference_length(),
+            outside: Outside::Clamp,
+            notes: candidate.notes.clone(),
             source: Provenance {
-                reference: format!("run {}", model.source.reference),
-                read_from: format!("fit by favre {}", model.source.version),
+                reference: format!("run {name}"),
+                read_from: format!("fit by favre {}", env!("CARGO_PKG_VERSION")),
                 choices: Vec::new(),
             },
-            definitions: model.definitions.clone(),
-            system: Some(model.system),
+            definitions,
+            system,
             constants,
             formulae: BTreeMap::new(),
-            splines: BTreeMap::new(),
-            fit: Some(fit),
-            quantities: vec![quantity],
+            splines,
+            fit: Some(FitFile {
+                form: fitted.name().into(),
+                formula: fitted.formula().into(),
+                seed,
+                held_out: candidate.held_out,
+                replicates: candidate.replicates,
+                covariance: fitted.covariance().to_vec(),
+                goodness,
+                coefficients: fitted.coefficients().to_vec(),
+                // A surface has errors only by its replicates.
+                curve: Some(curve(candidate, &ranges))
+                    .filter(|curve| curve.low_95.iter().all(|low| low.is_finite())),
+            }),
+            quantities: vec![QuantityFile {
+                predicts: fitted.quantity().into(),
+                unit: fitted.unit().into(),
+                formula,
+                exponents: BTreeMap::new(),
+                test_vectors: vectors(fitted, &ranges),
+                ranges,
+            }],
             known_flaws: Vec::new(),
         }
     }
@@ -346,7 +423,7 @@ impl Closure {
             return Err(ClosureError::Unknown { name: name.into(), known, nearest });
         }
         let text = std::fs::read_to_string(path)
-            .map_err(|source| ClosureError::Unreadable { path: path.into(), source })?;
+            .map_err(|why| ClosureError::Unreadable { path: path.into(), why })?;
         Self::parse(&text, path)
     }
 
@@ -356,7 +433,7 @@ impl Closure {
     /// # Errors
     /// [`ClosureError`].
     pub fn parse(text: &str, path: &Path) -> Result<Self, ClosureError> {
-        let invalid = |e| ClosureError::Invalid { path: path.into(), source: Box::new(e) };
+        let invalid = |e| ClosureError::Invalid { path: path.into(), why: Box::new(e) };
         Self::compile(toml::from_str(text).map_err(invalid)?, path)
     }
 
@@ -478,6 +555,13 @@ fn check_fit(file: &ClosureFile) -> Result<(), String> {
             return Err(format!("coefficient {symbol}: {value} is not in {low_95} to {high_95}"));
         }
     }
+    if let Some(Curve { value, low_95, high_95, at }) = &fit.curve {
+        let mut columns = at.values().chain([low_95, high_95]);
+        if let Some(other) = columns.find(|column| column.len() != value.len()) {
+            let (one, other) = (value.len(), other.len());
+            return Err(format!("columns of curve are of {one} and of {other} points"));
+        }
+    }
     let count = fit.coefficients.len();
     let good = |row: &Vec<f64>| row.len() == count && row.iter().all(|c| c.is_finite());
     match fit.covariance.len() == count && fit.covariance.iter().all(good) {
@@ -573,7 +657,16 @@ const PIECE: usize = 4096;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::tests::model;
+    use crate::fit::tests::{WIDTHS, fitted, synthetic};
+    use crate::model::tests::{candidate, model};
+    use crate::refit::{Bins, Shape, refit};
+
+    /// A fit of planted parameters with noise as a file.
+    fn file() -> ClosureFile {
+        let fit = candidate(fitted(&synthetic(&WIDTHS, 0.58, 0.02, 1)));
+        let definitions = Definitions::favre("wen-yu");
+        ClosureFile::fitted("base-drag", &fit, Some(7), Some(model().system), definitions)
+    }
 
     #[test]
     fn what_is_shipped_loads_and_gives_its_test_vectors() {
@@ -607,15 +700,22 @@ mod tests {
     /// The model that a fit found, and its file read again.
     #[test]
     fn a_fitted_model_is_the_same_closure() {
-        let model = model();
-        let file = ClosureFile::fitted(&model);
+        let (model, file) = (model(), file());
         let text = file.to_toml().unwrap();
         let closure = Closure::parse(&text, Path::new("model.toml")).unwrap();
         assert_eq!(closure.file, file);
         assert_eq!(closure.file.to_toml().unwrap(), text);
-        for (coefficient, again) in model.coefficients.iter().zip(&file.fit.unwrap().coefficients) {
+        let coefficients = &model.candidate.coefficients;
+        for (coefficient, again) in coefficients.iter().zip(&file.fit.unwrap().coefficients) {
             assert_eq!(coefficient.value.to_bits(), again.value.to_bits());
         }
+        let ranges = &file.quantities[0].ranges;
+        let vectors = &file.quantities[0].test_vectors;
+        assert_eq!(vectors.len(), 30);
+        let outside = |v: &&Vector| {
+            ranges.iter().any(|range| !(range.low..=range.high).contains(&v.at[&range.marker]))
+        };
+        assert!(vectors.iter().filter(outside).count() >= 10);
         for i in 0..=70 {
             for width in [0.0, 0.1, 1.0, 3.0, 8.0, 20.0] {
                 let phi = f64::from(i) * 0.01;
@@ -625,10 +725,37 @@ mod tests {
         }
     }
 
+    /// Bar 3 for the surface: its file loads and gives its test vectors.
+    #[test]
+    fn a_fitted_surface_is_a_closure() {
+        let bins = Bins::of_tables(vec![synthetic(&WIDTHS, 0.58, 0.02, 1)], 60, 1);
+        let found = refit(&bins, Shape::Spline).unwrap();
+        let file = ClosureFile::fitted("s", &found, None, None, Definitions::favre("wen-yu"));
+        let text = file.to_toml().unwrap();
+        let closure = Closure::parse(&text, Path::new("model.toml")).unwrap();
+        assert_eq!(closure.file, file);
+        let quantity = &closure.quantities[0];
+        assert_eq!(quantity.file.test_vectors.len(), 30);
+        for vector in &quantity.file.test_vectors {
+            let found = quantity.at(&quantity.point(vector));
+            assert!((found - vector.expected).abs() < 1e-12, "{vector:?} {found}");
+        }
+        let curve = file.fit.unwrap().curve.unwrap();
+        assert_eq!(curve.value.len(), 65);
+        for (k, value) in curve.value.iter().enumerate() {
+            let point = quantity.markers().map(|marker| curve.at[&marker][k]);
+            let found = quantity.at(&point.collect::<Vec<f64>>());
+            assert!((found - value).abs() < 1e-12, "{found} {value}");
+            assert!(curve.low_95[k] <= *value && *value <= curve.high_95[k]);
+        }
+        let bad = text.replace("width_scale", "widht_scale");
+        assert!(Closure::parse(&bad, Path::new("m.toml")).is_err());
+    }
+
     #[test]
     fn a_fit_whose_numbers_do_not_belong_together_is_refused() {
         let spoil = |change: &dyn Fn(&mut ClosureFile)| {
-            let mut file = ClosureFile::fitted(&model());
+            let mut file = file();
             change(&mut file);
             let text = file.to_toml().unwrap();
             Closure::parse(&text, Path::new("m.toml")).unwrap_err().to_string()
@@ -643,6 +770,9 @@ mod tests {
         assert_eq!(other, "m.toml: fit: coefficient a is not among the constants");
         let low = spoil(&|file| fit(file, &|fit| fit.coefficients[0].low_95 = 99.0));
         assert!(low.contains("is not in 99 to "), "{low}");
+        let cut = |fit: &mut FitFile| fit.curve.as_mut().unwrap().low_95.truncate(3);
+        let uneven = spoil(&|file| fit(file, &cut));
+        assert!(uneven.ends_with("columns of curve are of 65 and of 3 points"), "{uneven}");
         let short = spoil(&|file| fit(file, &|fit| fit.covariance.truncate(5)));
         assert!(short.ends_with("covariance needs 6 rows of 6 numbers"), "{short}");
     }

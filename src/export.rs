@@ -23,7 +23,7 @@ pub mod table;
 use crate::closure::{Closure, Status};
 use crate::expression::Meaning;
 use crate::fit::ReferenceLength;
-use crate::forms::{self, FORMS, MARKERS, Marker};
+use crate::forms::{MARKERS, Marker};
 use crate::model::Outside;
 use crate::output::{Output, OutputError, RUN_FILE};
 use code::{Code, Lowering, digits};
@@ -86,20 +86,6 @@ pub enum ExportError {
         closure: String,
         /// What it lacks.
         missing: String,
-    },
-    /// The closure was fitted by a form of another version.
-    #[error(
-        "{closure} says that the form \"{form}\" was fitted, which this version does not know (known: \
-         {known}), so that its formula may not be what was fitted; nearest: leave out [fit], and the \
-         formula is exported as it stands, without intervals"
-    )]
-    UnknownForm {
-        /// The closure.
-        closure: String,
-        /// The form.
-        form: String,
-        /// The known ones.
-        known: String,
     },
     /// A solver needs what the closure does not predict.
     #[error(
@@ -241,6 +227,12 @@ pub struct Quantity {
 }
 
 impl Quantity {
+    /// A call of its routine; the markers are variables of their own names.
+    pub fn call(&self) -> String {
+        let symbols: Vec<&str> = self.ranges.iter().map(|range| range.symbol()).collect();
+        format!("favre_{}({})", self.name, symbols.join(", "))
+    }
+
     /// A line for each marker: symbol, meaning, range.
     pub fn range_lines(&self) -> Vec<String> {
         self.ranges
@@ -314,6 +306,16 @@ pub struct Facts<'a> {
 }
 
 impl<'a> Facts<'a> {
+    /// The README of routines that belong to no solver.
+    pub fn readme_of_routines(&self, template: &str) -> Piece {
+        let texts = [
+            ("name", &*self.name),
+            ("facts", &*self.readme),
+            ("call", &*self.quantities[0].call()),
+        ];
+        Piece::text("README.md", fill(template, &texts))
+    }
+
     /// The facts of `closure`; `for_solver`: with the drag law that it corrects.
     ///
     /// # Errors
@@ -328,10 +330,6 @@ impl<'a> Facts<'a> {
         if let Some((constant, value)) = file.constants.iter().find(|(_, x)| !x.is_finite()) {
             let (name, value) = (constant.clone(), *value);
             return Err(ExportError::Constant { closure: file.name.clone(), name, value });
-        }
-        if let Some(fit) = file.fit.as_ref().filter(|fit| forms::form(&fit.form).is_none()) {
-            let (form, known) = (fit.form.clone(), FORMS.map(|form| form.name()).join(", "));
-            return Err(ExportError::UnknownForm { closure: name(), form, known });
         }
         // Markers by number; the Reynolds number, which only a drag law has, after them.
         let mut inputs: Vec<&str> = MARKERS.iter().map(|(_, _, symbol)| *symbol).collect();

@@ -5,17 +5,15 @@
 
 use crate::bench::error::{Group, QUANTITIES, Report};
 use crate::compare::{Comparison, Panel};
-use crate::fit::ReferenceLength;
-use crate::forms::Marker;
-use crate::model::Model;
 use crate::stability::{Mode, Stability};
-use crate::table::BinRow;
+use crate::table::{BinRow, ClosureRow, Origin};
 use kuva::plot::annotations::{ReferenceLine, ShadedRegion};
 use kuva::plot::legend::{LegendEntry, LegendPosition, LegendShape};
 use kuva::prelude::{ColorMap, Heatmap, LinePlot, Plot, ScatterPlot, SvgBackend};
-use kuva::render::layout::{Layout, TickFormat};
+use kuva::render::layout::Layout;
 use kuva::render::render::{Scene, render_multiple};
 use kuva::{RasterBackend, TickAlign};
+use std::io::Write;
 use thiserror::Error;
 
 /// A drawn figure, from which SVG and PNG are made.
@@ -53,6 +51,24 @@ impl Figure {
         SvgBackend::new().render_scene(&self.scene)
     }
 
+    /// The figure as SVG to stand in a page, as wide as its place: without a background, in the page's
+    /// colour where it would be black, and with `label` for who cannot see it.
+    pub fn inline(&self, label: &str) -> String {
+        let svg = self.svg();
+        let (_, drawing) = svg.split_once('>').expect("an SVG has a head");
+        let ground = r#"<rect width="100%" height="100%" fill="white" />"#;
+        let drawing = drawing
+            .replacen(ground, "", 1)
+            .replace("\"#000000\"", "\"currentColor\"")
+            .replace("\"#cccccc\"", "\"#88888855\"");
+        format!(
+            "<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\" fill=\"currentColor\">{drawing}",
+            self.scene.width,
+            self.scene.height,
+            escaped(label),
+        )
+    }
+
     /// The figure as PNG.
     ///
     /// # Errors
@@ -65,136 +81,393 @@ impl Figure {
     }
 }
 
+/// Text as it stands in an attribute.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('"', "&quot;").replace('<', "&lt;")
+}
+
 /// Okabe & Ito's palette without its yellow, which is too light on white.
 const COLOURS: [&str; 7] =
     ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"];
 
-/// The fitted closure against the bins: H over filtered solids fraction, one colour for each filter
-/// width, points with 95 % intervals, curves of the model. About 800 x 500.
+/// A point of a [`Series`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// Along the first axis.
+    pub x: f64,
+    /// Along the second.
+    pub y: f64,
+    /// Ends of its 95 % interval along the second.
+    pub interval: Option<[f64; 2]>,
+}
+
+/// How a series is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Look {
+    /// Points with their intervals; they say their numbers when pointed at.
+    Points,
+    /// A line, its intervals a band.
+    Line,
+    /// A dashed line.
+    Dashed,
+}
+
+/// Most points of a line that say their numbers.
+const MOST_SAID: usize = 150;
+
+/// Points that belong together.
+#[derive(Clone, Debug)]
+pub struct Series {
+    /// What they are.
+    pub name: String,
+    /// Which of the palette's colours, counted round.
+    pub colour: usize,
+    /// How they are drawn.
+    pub look: Look,
+    /// Whether the legend names them.
+    pub named: bool,
+    /// The points; those that are not finite are left out of the drawing.
+    pub points: Vec<Point>,
+}
+
+/// An axis of a [`Chart`].
+#[derive(Clone, Debug)]
+pub struct Axis {
+    /// What is along it, with its symbol and unit.
+    pub label: String,
+    /// Whether it is logarithmic.
+    pub logarithmic: bool,
+    /// Its ends; those of the points if none.
+    pub ends: Option<[f64; 2]>,
+}
+
+impl Axis {
+    /// A linear axis from the least to the largest point.
+    pub fn linear(label: impl Into<String>) -> Self {
+        Self { label: label.into(), logarithmic: false, ends: None }
+    }
+
+    /// A logarithmic axis.
+    pub fn logarithmic(label: impl Into<String>) -> Self {
+        Self { label: label.into(), logarithmic: true, ends: None }
+    }
+
+    /// With these ends.
+    #[must_use]
+    pub fn between(mut self, low: f64, high: f64) -> Self {
+        self.ends = Some([low, high]);
+        self
+    }
+
+    fn shows(&self, x: f64) -> bool {
+        x.is_finite() && (!self.logarithmic || x > 0.0)
+    }
+}
+
+/// Series over common axes: the data of a figure, from which its drawing and its table are made.
+#[derive(Clone, Debug)]
+pub struct Chart {
+    /// What stands above it; may be empty.
+    pub title: String,
+    /// First and second axis.
+    pub axes: [Axis; 2],
+    /// What is drawn, the first undermost, points above lines.
+    pub series: Vec<Series>,
+    /// Lines across the chart: place along the first axis, and what it is.
+    pub marks: Vec<(f64, String)>,
+}
+
+impl Chart {
+    /// What can be drawn of a series.
+    fn shown<'a>(&'a self, series: &'a Series) -> impl Iterator<Item = &'a Point> + Clone {
+        let [across, up] = &self.axes;
+        series.points.iter().filter(|p| across.shows(p.x) && up.shows(p.y))
+    }
+
+    /// Whether there is anything to draw.
+    pub fn is_empty(&self) -> bool {
+        self.series.iter().all(|series| self.shown(series).next().is_none())
+    }
+
+    /// The drawing, about 800 x 460.
+    pub fn figure(&self) -> Figure {
+        let [across, up] = &self.axes;
+        let mut plots = Vec::new();
+        let mut entries = Vec::new();
+        // An end of an interval beyond the axis is drawn at the axis.
+        let inside = |x: f64| match up.ends {
+            Some([low, high]) => x.clamp(low, high),
+            None => x,
+        };
+        // Points above lines: no band may hide them from who points at them.
+        let (above, below): (Vec<&Series>, Vec<&Series>) =
+            self.series.iter().partition(|series| series.look == Look::Points);
+        let dotted = !above.is_empty();
+        for series in below.into_iter().chain(above) {
+            let colour = COLOURS[series.colour % COLOURS.len()];
+            let points = self.shown(series);
+            let data: Vec<(f64, f64)> = points.clone().map(|p| (p.x, p.y)).collect();
+            if data.is_empty() {
+                continue;
+            }
+            let ends = points.clone().map(|p| {
+                let [low, high] = p.interval.unwrap_or([p.y; 2]).map(inside);
+                // A logarithmic axis has no place for what is not positive.
+                (if up.shows(low) { low } else { p.y }, high)
+            });
+            match series.look {
+                Look::Points => {
+                    let says = points.clone().map(|p| self.says(series, p));
+                    let mut dots = ScatterPlot::new()
+                        .with_data(data)
+                        .with_tooltip_labels(says)
+                        .with_color(colour)
+                        .with_size(3.5);
+                    if points.clone().any(|p| p.interval.is_some()) {
+                        dots =
+                            dots.with_y_err_asymmetric(points.zip(ends).map(|(p, (low, high))| {
+                                ((p.y - low).max(0.0), (high - p.y).max(0.0))
+                            }));
+                    }
+                    plots.push(Plot::Scatter(dots));
+                }
+                Look::Line | Look::Dashed => {
+                    let mut line =
+                        LinePlot::new().with_data(data).with_color(colour).with_stroke_width(2.0);
+                    if points.clone().any(|p| p.interval.is_some()) {
+                        let (low, high): (Vec<f64>, Vec<f64>) = ends.unzip();
+                        line = line.with_band(low, high);
+                    }
+                    if series.look == Look::Dashed {
+                        line = line.with_dashed();
+                    }
+                    plots.push(Plot::Line(line));
+                    if !dotted {
+                        // A line says its numbers too, by points that are not seen.
+                        let every = points.clone().count().div_ceil(MOST_SAID);
+                        let said = points.step_by(every);
+                        plots.push(Plot::Scatter(
+                            ScatterPlot::new()
+                                .with_data(said.clone().map(|p| (p.x, p.y)))
+                                .with_tooltip_labels(said.map(|p| self.says(series, p)))
+                                .with_size(5.0)
+                                .with_marker_opacity(0.0),
+                        ));
+                    }
+                }
+            }
+            if series.named {
+                entries.push(LegendEntry {
+                    label: series.name.clone(),
+                    color: colour.into(),
+                    shape: if series.look == Look::Points {
+                        LegendShape::Circle
+                    } else {
+                        LegendShape::Line
+                    },
+                    dasharray: (series.look == Look::Dashed).then(|| "8 4".into()),
+                });
+            }
+        }
+        let mut layout = frame(Layout::auto_from_plots(&plots), 800.0, 460.0)
+            .with_x_label(across.label.clone())
+            .with_y_label(up.label.clone())
+            .with_legend_box(false);
+        if !self.title.is_empty() {
+            layout = layout.with_title(self.title.clone()).with_title_size(15);
+        }
+        if !entries.is_empty() {
+            layout = layout
+                .with_legend_entries(entries)
+                .with_legend_position(LegendPosition::OutsideRightTop);
+        }
+        if across.logarithmic {
+            layout = layout.with_log_x();
+        }
+        if up.logarithmic {
+            layout = layout.with_log_y();
+        }
+        if let Some([low, high]) = across.ends {
+            layout = layout.with_x_axis_min(low).with_x_axis_max(high);
+        }
+        if let Some([low, high]) = up.ends {
+            layout = layout.with_y_axis_min(low).with_y_axis_max(high);
+        }
+        for (place, label) in &self.marks {
+            layout = layout.with_reference_line(
+                ReferenceLine::vertical(*place).with_color("#888888").with_label(label),
+            );
+        }
+        Figure { scene: render_multiple(plots, layout) }
+    }
+
+    /// What a point says when pointed at: its series, both numbers, its interval.
+    pub fn says(&self, series: &Series, point: &Point) -> String {
+        let [across, up] = &self.axes;
+        let mut text = format!(
+            "{}: {} = {}, {} = {}",
+            series.name,
+            across.label,
+            digits(point.x),
+            up.label,
+            digits(point.y)
+        );
+        if let Some([low, high]) = point.interval {
+            text += &format!(", 95 % interval {} to {}", digits(low), digits(high));
+        }
+        text
+    }
+
+    /// The numbers behind it: a row a point, with as many digits as give the same number back.
+    ///
+    /// # Errors
+    /// What the writer reports.
+    pub fn write_csv(&self, writer: impl Write) -> csv::Result<()> {
+        let mut table = csv::Writer::from_writer(writer);
+        let [across, up] = &self.axes;
+        table.write_record(["series", &across.label, &up.label, "low_95", "high_95"])?;
+        for series in &self.series {
+            for Point { x, y, interval } in &series.points {
+                let end = |i: usize| interval.map_or(String::new(), |ends| ends[i].to_string());
+                table.write_record([
+                    series.name.clone(),
+                    x.to_string(),
+                    y.to_string(),
+                    end(0),
+                    end(1),
+                ])?;
+            }
+        }
+        table.flush()?;
+        Ok(())
+    }
+}
+
+/// A number in four significant digits, as a reader would write it.
+pub fn digits(x: f64) -> String {
+    if x == 0.0 || (1e-3..1e5).contains(&x.abs()) {
+        let places =
+            if x == 0.0 { 0 } else { (3 - x.abs().log10().floor() as i32).max(0) as usize };
+        let text = format!("{x:.places$}");
+        return match text.contains('.') {
+            true => text.trim_end_matches('0').trim_end_matches('.').into(),
+            false => text,
+        };
+    }
+    format!("{x:.3e}")
+}
+
+/// The closure and the bins that it was fitted to: H over filtered solids fraction, one colour for
+/// each filter width, points with 95 % intervals, curves with bands. `curves` are rows of the closure
+/// table; of those outside the range of the data nothing is drawn.
 ///
-/// Bins without a finite interval are left out; curves end where the model's valid range ends.
-pub fn closure_figure(rows: &[BinRow], model: &Model) -> Figure {
+/// Bins without a finite interval are left out.
+pub fn closure_chart(rows: &[BinRow], curves: &[ClosureRow], quantity: &str) -> Chart {
     let drawn: Vec<&BinRow> = rows
         .iter()
-        .filter(|r| r.quantity == model.predicts && r.low_95.is_finite() && r.high_95.is_finite())
+        .filter(|r| r.quantity == quantity && r.low_95.is_finite() && r.high_95.is_finite())
         .collect();
-    let mut widths: Vec<f64> = drawn.iter().map(|r| r.filter_width).collect();
-    widths.sort_by(f64::total_cmp);
+    let mut widths: Vec<(f64, f64)> =
+        drawn.iter().map(|r| (r.filter_width, r.filter_width_l_i)).collect();
+    widths.sort_by(|a, b| a.0.total_cmp(&b.0));
     widths.dedup();
-    let length = model.system.length(model.reference_length);
-    let symbol = match model.reference_length {
-        ReferenceLength::One => "L_I",
-        ReferenceLength::Two => "L_II",
-    };
-    let (dilute, dense) = model.range(Marker::SolidsFraction);
-    let mut plots = Vec::new();
-    let mut entries = Vec::new();
-    for (i, &width) in widths.iter().enumerate() {
-        let colour = COLOURS[i % COLOURS.len()];
-        let curve = (0..=200).map(|k| {
-            let phi = dilute + (dense - dilute) * f64::from(k) / 200.0;
-            (phi, model.evaluate(phi, width / length))
+    let mut series = Vec::new();
+    for (colour, &(width, scaled)) in widths.iter().enumerate() {
+        let name = format!("Δ_f = {} cm ({} L_I)", significant(100.0 * width), significant(scaled));
+        let of_width = curves.iter().filter(|c| {
+            c.quantity == quantity
+                && c.origin == Origin::Fit
+                && c.inside_range
+                && (c.filter_width / width - 1.0).abs() < 1e-9
         });
-        plots.push(Plot::Line(
-            LinePlot::new().with_data(curve).with_color(colour).with_stroke_width(2.0),
-        ));
-        let points: Vec<&&BinRow> = drawn.iter().filter(|r| r.filter_width == width).collect();
-        plots.push(Plot::Scatter(
-            ScatterPlot::new()
-                .with_data(points.iter().map(|r| (r.solids_fraction, r.value)))
-                .with_y_err_asymmetric(
-                    points.iter().map(|r| (r.value - r.low_95, r.high_95 - r.value)),
-                )
-                .with_color(colour)
-                .with_size(3.5),
-        ));
-        entries.push(LegendEntry {
-            label: format!(
-                "Δ_f = {} cm ({} {symbol})",
-                significant(100.0 * width),
-                significant(width / length)
-            ),
-            color: colour.into(),
-            shape: LegendShape::Line,
-            dasharray: None,
+        let curve: Vec<Point> = of_width
+            .map(|c| Point {
+                x: c.solids_fraction,
+                y: c.value,
+                interval: Some([c.low_95, c.high_95]),
+            })
+            .collect();
+        let fitted = !curve.is_empty();
+        series.push(Series {
+            name: name.clone(),
+            colour,
+            look: Look::Line,
+            named: fitted,
+            points: curve,
+        });
+        let bins = drawn.iter().filter(|r| r.filter_width == width);
+        series.push(Series {
+            name,
+            colour,
+            look: Look::Points,
+            named: !fitted,
+            points: bins
+                .map(|r| Point {
+                    x: r.solids_fraction,
+                    y: r.value,
+                    interval: Some([r.low_95, r.high_95]),
+                })
+                .collect(),
         });
     }
     // A bin that hardly anything is known of must not squeeze the others: its interval is cut.
     let low = drawn.iter().map(|r| r.low_95).fold(0.0, f64::min).max(-0.2);
     let high = drawn.iter().map(|r| r.high_95).fold(0.0, f64::max).min(1.0);
-    let top = drawn.iter().map(|r| r.solids_fraction).fold(dense, f64::max);
-    let layout = frame(Layout::auto_from_plots(&plots), 800.0, 500.0)
-        .with_x_label("filtered solids fraction φ [-]")
-        .with_y_label("drag correction H [-]")
-        .with_x_axis_min(0.0)
-        // Beyond a round end by less than a pixel, or its tick is lost to a rounding.
-        .with_x_axis_max((top * 20.0 - 1e-6).ceil() / 20.0 + 1e-6)
-        .with_x_tick_step(0.1)
-        .with_y_axis_min((low * 5.0).floor() / 5.0)
-        .with_y_axis_max(((high * 5.0 - 1e-6).ceil() / 5.0).max(0.2) + 1e-6)
-        .with_y_tick_step(0.2)
-        .with_x_tick_format(TickFormat::Fixed(1))
-        .with_y_tick_format(TickFormat::Fixed(1))
-        .with_legend_entries(entries)
-        .with_legend_position(LegendPosition::OutsideRightTop)
-        .with_legend_box(false);
-    Figure { scene: render_multiple(plots, layout) }
+    let top = series.iter().flat_map(|s| &s.points).map(|p| p.x).fold(0.05, f64::max);
+    // Beyond a round end by less than a pixel, or its tick is lost to a rounding.
+    let round = |x: f64, step: f64| (x / step - 1e-6).ceil() * step + 1e-6;
+    Chart {
+        title: String::new(),
+        axes: [
+            Axis::linear("filtered solids fraction φ [-]").between(0.0, round(top, 0.05)),
+            Axis::linear("drag correction H [-]")
+                .between((low * 5.0).floor() / 5.0, round(high, 0.2).max(0.2)),
+        ],
+        series,
+        marks: Vec::new(),
+    }
 }
 
 /// Closures at one filter width over solids fraction, one colour each, and bins of that width with
 /// their 95 % intervals.
-pub fn comparison_figure(comparison: &Comparison, panel: &Panel) -> Figure {
-    let mut plots = Vec::new();
-    let mut entries = Vec::new();
-    for (i, (name, curve)) in comparison.closures.iter().zip(&panel.curves).enumerate() {
-        let colour = COLOURS[i % COLOURS.len()];
-        // More closures than colours: the second round is dashed.
-        let dashed = i >= COLOURS.len();
-        let points = panel.fractions.iter().copied().zip(curve.iter().copied());
-        let points = points.filter(|(_, value)| value.is_finite());
-        let line = LinePlot::new().with_data(points).with_color(colour).with_stroke_width(2.0);
-        plots.push(Plot::Line(if dashed { line.with_dashed() } else { line }));
-        entries.push(LegendEntry {
-            label: name.clone(),
-            color: colour.into(),
-            shape: LegendShape::Line,
-            dasharray: dashed.then(|| "8 4".into()),
+pub fn comparison_chart(comparison: &Comparison, panel: &Panel) -> Chart {
+    let mut series = Vec::new();
+    for (colour, (name, curve)) in comparison.closures.iter().zip(&panel.curves).enumerate() {
+        let points = panel.fractions.iter().zip(curve);
+        series.push(Series {
+            name: name.clone(),
+            colour,
+            // More closures than colours: the second round is dashed.
+            look: if colour < COLOURS.len() { Look::Line } else { Look::Dashed },
+            named: true,
+            points: points.map(|(x, y)| Point { x: *x, y: *y, interval: None }).collect(),
         });
     }
-    let bins: Vec<[f64; 4]> =
-        panel.bins.iter().copied().filter(|bin| bin.iter().all(|x| x.is_finite())).collect();
-    if !bins.is_empty() {
-        plots.push(Plot::Scatter(
-            ScatterPlot::new()
-                .with_data(bins.iter().map(|[phi, value, ..]| (*phi, *value)))
-                .with_y_err_asymmetric(bins.iter().map(|[_, v, low, high]| (v - low, high - v)))
-                .with_color("#444444")
-                .with_size(3.5),
-        ));
-        entries.push(LegendEntry {
-            label: "bins".into(),
-            color: "#444444".into(),
-            shape: LegendShape::Circle,
-            dasharray: None,
+    if !panel.bins.is_empty() {
+        let bins = panel.bins.iter();
+        series.push(Series {
+            name: "bins".into(),
+            colour: COLOURS.len() - 1,
+            look: Look::Points,
+            named: true,
+            points: bins
+                .map(|&[x, y, low, high]| Point { x, y, interval: Some([low, high]) })
+                .collect(),
         });
     }
-    let curves = panel.curves.iter().flatten().copied().filter(|value| value.is_finite());
-    let values = curves.chain(bins.iter().map(|bin| bin[1]));
+    let values = series.iter().flat_map(|s| &s.points).map(|p| p.y).filter(|y| y.is_finite());
     let (low, high) = values.fold((0.0f64, 0.0f64), |(a, b), x| (a.min(x), b.max(x)));
-    let unit = &comparison.unit;
-    let layout = frame(Layout::auto_from_plots(&plots), 860.0, 500.0)
-        .with_title(format!("filter width {} L_I", significant(panel.filter_width)))
-        .with_title_size(15)
-        .with_x_label("filtered solids fraction φ [-]")
-        .with_y_label(format!("{} [{unit}]", comparison.quantity.replace('_', " ")))
-        .with_x_axis_min(0.0)
-        .with_x_axis_max(0.65)
-        .with_y_axis_min(1.05 * low)
-        .with_y_axis_max(if high > low { 1.05 * high } else { 1.0 })
-        .with_legend_entries(entries)
-        .with_legend_position(LegendPosition::OutsideRightTop)
-        .with_legend_box(false);
-    Figure { scene: render_multiple(plots, layout) }
+    let quantity = comparison.quantity.replace('_', " ");
+    Chart {
+        title: format!("filter width {} L_I", significant(panel.filter_width)),
+        axes: [
+            Axis::linear("filtered solids fraction φ [-]").between(0.0, 0.65),
+            Axis::linear(format!("{quantity} [{}]", comparison.unit))
+                .between(1.05 * low, if high > low { 1.05 * high } else { 1.0 }),
+        ],
+        series,
+        marks: Vec::new(),
+    }
 }
 
 /// A snapshot of the solids fraction: `field` of `columns` x `rows` cells, x fastest, the first row
@@ -261,33 +534,40 @@ const FIELD_MARGINS: [f64; 4] = [65.0, 95.0, 40.0, 60.0];
 /// Least width of a field's canvas \[units\].
 const NARROWEST: f64 = 340.0;
 
-/// The mean slip over time: `slip`/u_t against `times` \[s\], what comes before `start` \[s\] of the
-/// statistics shaded, and the uniform suspension's slip `uniform`/u_t dashed.
-pub fn series_figure(times: &[f64], slip: &[f64], start: f64, uniform: f64) -> Figure {
-    let series = times.iter().copied().zip(slip.iter().copied());
-    let plots = vec![Plot::Line(
-        LinePlot::new().with_data(series).with_color(COLOURS[0]).with_stroke_width(1.2),
-    )];
-    let first = times.first().copied().unwrap_or(0.0);
+/// The mean slip over time: `slip`/u_t against `times` \[s\], with the `start` \[s\] of the statistics
+/// and the uniform suspension's slip `uniform`/u_t.
+pub fn series_chart(
+    times: &[f64],
+    slip: &[f64],
+    start: Option<f64>,
+    uniform: Option<f64>,
+) -> Chart {
     let last = times.last().copied().unwrap_or(1.0);
-    let layout = frame(Layout::auto_from_plots(&plots), 800.0, 360.0)
-        .with_x_label("time t [s]")
-        .with_y_label("mean slip / u_t [-]")
-        .with_x_axis_min(first)
-        .with_x_axis_max(last)
-        .with_y_axis_min(0.0)
-        .with_shaded_region(
-            ShadedRegion::vertical(first, start).with_color("#888888").with_opacity(0.15),
-        )
-        .with_reference_line(
-            ReferenceLine::vertical(start).with_color("#444444").with_label("statistics start"),
-        )
-        .with_reference_line(
-            ReferenceLine::horizontal(uniform)
-                .with_color(COLOURS[1])
-                .with_label("uniform suspension u₀/u_t"),
-        );
-    Figure { scene: render_multiple(plots, layout) }
+    let point = |x: f64, y: f64| Point { x, y, interval: None };
+    let line = |name: &str, colour, look, points| Series {
+        name: name.into(),
+        colour,
+        look,
+        named: true,
+        points,
+    };
+    let signal = times.iter().zip(slip).map(|(t, s)| point(*t, *s)).collect();
+    let mut series = vec![line("mean slip", 0, Look::Line, signal)];
+    if let Some(uniform) = uniform {
+        let points = vec![point(0.0, uniform), point(last, uniform)];
+        series.push(line("uniform suspension u₀/u_t", 1, Look::Dashed, points));
+    }
+    let top = series.iter().flat_map(|s| &s.points).map(|p| p.y).fold(0.0, f64::max);
+    Chart {
+        title: String::new(),
+        axes: [
+            Axis::linear("time t [s]").between(0.0, last.max(1e-9)),
+            Axis::linear("mean slip / u_t [-]")
+                .between(0.0, if top > 0.0 { 1.05 * top } else { 1.0 }),
+        ],
+        series,
+        marks: start.map(|start| (start, "statistics start".into())).into_iter().collect(),
+    }
 }
 
 /// Growth rate against wavelength, one colour for each mean solids fraction, solid for vertical and
@@ -434,6 +714,7 @@ mod tests {
     use super::*;
     use crate::case::{Case, DEFAULT};
     use crate::fit::tests::{WIDTHS, synthetic};
+    use crate::model::closure_rows;
     use crate::model::tests::model;
     use crate::stability::stability;
     use std::f64::consts::TAU;
@@ -462,7 +743,8 @@ mod tests {
     fn closure_figure_names_its_axes_and_filter_widths() {
         let mut rows = synthetic(&WIDTHS[..4], 0.56, 0.02, 1);
         rows[0].high_95 = f64::INFINITY;
-        let figure = closure_figure(&rows, &model());
+        let curves = closure_rows(&model(), &WIDTHS[..4]);
+        let figure = closure_chart(&rows, &curves, "drag_correction").figure();
         let svg = figure.svg();
         for text in
             ["filtered solids fraction φ [-]", "drag correction H [-]", "Δ_f = 1.95 cm (4 L_I)"]
@@ -470,7 +752,7 @@ mod tests {
             assert!(svg.contains(text), "{text}");
         }
         assert_eq!(svg.matches("<circle").count(), rows.len() - 1);
-        assert_eq!(drawn(&figure).1, [1600, 1000]);
+        assert_eq!(drawn(&figure).1, [1600, 920]);
     }
 
     #[test]
@@ -489,7 +771,7 @@ mod tests {
     fn series_figure_marks_start_and_uniform_slip() {
         let times: Vec<f64> = (0..100).map(|i| 0.04 * f64::from(i)).collect();
         let slip: Vec<f64> = times.iter().map(|t| 0.585 + 0.8 * t.tanh()).collect();
-        let svg = series_figure(&times, &slip, 1.1, 0.585).svg();
+        let svg = series_chart(&times, &slip, Some(1.1), Some(0.585)).figure().svg();
         for text in ["time t [s]", "mean slip / u_t [-]", "statistics start", "uniform suspension"]
         {
             assert!(svg.contains(text), "{text}");

@@ -6,7 +6,7 @@
 
 mod formula;
 
-pub use formula::{FormulaForm, UserForm};
+pub use formula::FormulaForm;
 
 use serde::{Deserialize, Serialize};
 
@@ -132,6 +132,15 @@ pub struct Parameter {
     pub bounds: Bounds,
 }
 
+const fn parameter(
+    name: &'static str,
+    symbol: &'static str,
+    default: f64,
+    bounds: Bounds,
+) -> Parameter {
+    Parameter { name, symbol, unit: "-", default, bounds }
+}
+
 /// A closure form. Implementors hold no data of a fit.
 pub trait ClosureForm: std::fmt::Debug + Sync {
     /// Name in model files.
@@ -248,14 +257,6 @@ impl ClosureForm for SaturatingDrag {
 
     fn parameters(&self) -> &'static [Parameter] {
         // Defaults: Igci & Sundaresan 2011, 2-D, as fitted by this form.
-        const fn parameter(
-            name: &'static str,
-            symbol: &'static str,
-            default: f64,
-            bounds: Bounds,
-        ) -> Parameter {
-            Parameter { name, symbol, unit: "-", default, bounds }
-        }
         const PARAMETERS: [Parameter; 6] = [
             parameter("half_width", "D_h", 1.363, Bounds::Positive),
             parameter("rise_fraction", "phi_r", 0.00215, Bounds::Positive),

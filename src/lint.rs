@@ -7,7 +7,7 @@
 use crate::closure::{Closure, KnownFlaw, Quantity};
 use crate::expression::{Comparison, Expression, Node, Operator, Program};
 use crate::forms::Marker;
-use crate::laws::scales::{Gas, Powder, Scales};
+use crate::laws::scales::Scales;
 use crate::model::Outside;
 use serde::Serialize;
 use std::fmt;
@@ -227,13 +227,7 @@ fn made_sure(check: &str) -> &'static str {
 /// Recomputes the scales of the system.
 fn system(closure: &Closure, seen: &mut Vec<Seen>) {
     let Some(system) = &closure.file.system else { return };
-    let powder = Powder {
-        diameter: system.diameter,
-        density: system.particle_density,
-        restitution: system.restitution,
-        max_packing: system.max_packing,
-    };
-    let gas = Gas { density: system.gas_density, viscosity: system.gas_viscosity };
+    let (powder, gas) = (system.powder(), system.gas());
     let mut say = |size: f64, what: String| {
         seen.push(Seen { check: "system", quantity: "-".into(), at: None, size, what });
     };

@@ -1,6 +1,7 @@
 //! The `favre` command: parse, call one library function, print one error, exit.
 
 mod cli;
+mod fits;
 mod interrupt;
 mod models;
 
@@ -18,9 +19,10 @@ use favre::checkpoint::Checkpoints;
 use favre::closure::{Closure, ClosureError};
 use favre::export;
 use favre::hard;
-use favre::output::Output;
+use favre::output::{Output, beside, write_whole};
 use favre::pipeline::{self, RunError, RunOptions};
 use favre::pool::Pool;
+use favre::report::REPORT_FILE;
 use favre::resolved::map::Map;
 use favre::sums::SUMS_FILE;
 use favre::terms::terms;
@@ -55,8 +57,11 @@ fn main() -> ExitCode {
         Some(Command::Run(args)) => run(&args, "run"),
         Some(Command::Simulate(args)) => run(&args, "simulate"),
         Some(Command::Filter(args)) => filter(&args),
+        Some(Command::Fit(args)) => fits::fit(&args),
+        Some(Command::Exponents(args)) => fits::exponents(&args),
         Some(Command::Models(args)) => models::models(&args),
         Some(Command::Export(args)) => export(&args),
+        Some(Command::Report(args)) => report(&args),
         Some(Command::Stability(args)) => stability(&args),
         Some(Command::Bench(args)) => bench(&args),
         Some(Command::Verify(args)) => verify(&args),
@@ -262,6 +267,29 @@ fn export(args: &cli::Export) -> Result<(), Failure> {
     export::write(&pieces, &output).map_err(Failure::failed)?;
     let dir = output.commit().map_err(Failure::failed)?;
     say(format_args!("favre: {} for {} is in {}", closure.file.name, args.to, dir.display()));
+    Ok(())
+}
+
+fn report(args: &cli::Report) -> Result<(), Failure> {
+    let default = match args.paths.as_slice() {
+        [path] if path.is_dir() => path.join(REPORT_FILE),
+        [path] => beside(path, "-report.html"),
+        _ => Path::new("favre-out").join(REPORT_FILE),
+    };
+    let out = args.out.as_deref().unwrap_or(&default);
+    let command: Vec<String> = std::env::args().skip(1).collect();
+    let page = pipeline::report(&args.paths, &format!("favre {}", command.join(" ")))
+        .map_err(Failure::misuse)?;
+    write_whole(out, page.as_bytes()).map_err(|error| {
+        Failure::failed(format!("cannot write {}: {error}; name another with --out", out.display()))
+    })?;
+    say(format_args!("favre: the page is {}", out.display()));
+    if let Some(dir) = &args.figures {
+        let output = Output::create(dir, args.force).map_err(Failure::misuse)?;
+        pipeline::figures(&args.paths, &output).map_err(Failure::failed)?;
+        let dir = output.commit().map_err(Failure::failed)?;
+        say(format_args!("favre: its figures are in {}", dir.display()));
+    }
     Ok(())
 }
 

@@ -1,48 +1,27 @@
-//! [`Model`]: a fitted form with all that its user must know, and the closure table made of it.
+//! [`Model`]: a fitted shape over φ and Δ_f of a run's powder, and the closure table made of it.
 //!
 //! On disk it is a closure like any other, see `closure`.
 
-use crate::fit::{Coefficient, Fit, Goodness, ReferenceLength, ValidRange, student_quantile};
-use crate::forms::{self, Marker};
+use crate::fit::ReferenceLength;
+use crate::forms::Marker;
 use crate::laws::scales::{Gas, Powder, Scales};
+use crate::refit::{Candidate, Estimate};
 use crate::table::{BinRow, ClosureRow, Origin};
 use serde::{Deserialize, Serialize};
 
-/// A fitted closure with everything that its user must know.
-#[derive(Clone, Debug, PartialEq)]
+/// A fitted closure of a run.
+#[derive(Clone, Debug)]
 pub struct Model {
-    /// Name of the model.
-    pub name: String,
     /// Quantity predicted, as in the bin table.
     pub predicts: String,
     /// Unit of that quantity; `-` for a number.
     pub unit: String,
-    /// Name of the form, see [`forms::FORMS`].
-    pub form: String,
-    /// Its formula, for the reader; the form's name is what counts.
-    pub formula: String,
     /// What Δ_f is scaled by.
     pub reference_length: ReferenceLength,
-    /// What happens outside the valid ranges.
-    pub outside: Outside,
-    /// What a user must know, one sentence each.
-    pub notes: Vec<String>,
-    /// Covariance of the coefficients, in their order.
-    pub covariance: Vec<Vec<f64>>,
-    /// Where the model comes from.
-    pub source: Source,
+    /// What was fitted, with its replicates.
+    pub candidate: Candidate,
     /// Powder, gas and their scales.
     pub system: System,
-    /// Definitions used.
-    pub definitions: Definitions,
-    /// How well the form follows the bins.
-    pub goodness: Goodness,
-    /// The form's coefficients, in its order.
-    pub coefficients: Vec<Coefficient>,
-    /// Valid range of each marker, in the form's order.
-    pub ranges: Vec<ValidRange>,
-    /// Inputs and expected outputs, inside the ranges and outside.
-    pub test_vectors: Vec<TestVector>,
 }
 
 /// What happens outside the valid ranges.
@@ -95,6 +74,21 @@ pub struct System {
 }
 
 impl System {
+    /// The powder.
+    pub fn powder(&self) -> Powder {
+        Powder {
+            diameter: self.diameter,
+            density: self.particle_density,
+            restitution: self.restitution,
+            max_packing: self.max_packing,
+        }
+    }
+
+    /// The gas.
+    pub fn gas(&self) -> Gas {
+        Gas { density: self.gas_density, viscosity: self.gas_viscosity }
+    }
+
     /// The system of `powder` and `gas` with their `scales`.
     pub fn new(powder: &Powder, gas: &Gas, scales: &Scales) -> Self {
         Self {
@@ -159,151 +153,53 @@ impl Definitions {
     }
 }
 
-/// Markers and the value that any implementation of the model must give there, to 1e-12.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TestVector {
-    /// φ [-].
-    pub solids_fraction: f64,
-    /// Δ_f over the reference length [-].
-    pub filter_width: f64,
-    /// Expected value.
-    pub expected: f64,
-}
-
-/// A value with its error.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Estimate {
-    /// Value.
-    pub value: f64,
-    /// Standard error from the coefficients' covariance, to first order. What the form itself
-    /// cannot follow is not in it; that is `goodness.extra_scatter`.
-    pub standard_error: f64,
-    /// Lower end of the 95 % interval, cut at the smallest value possible.
-    pub low_95: f64,
-    /// Upper end of the 95 % interval, cut at the largest value possible.
-    pub high_95: f64,
-}
-
 impl Model {
-    /// The model that `fit` found, with its test vectors.
-    pub fn new(
-        name: &str,
-        fit: &Fit,
-        source: Source,
-        system: System,
-        definitions: Definitions,
-    ) -> Self {
-        let mut model = Self {
-            name: name.into(),
-            predicts: fit.form.quantity().into(),
-            unit: fit.form.unit().into(),
-            form: fit.form.name().into(),
-            formula: fit.form.formula().into(),
-            reference_length: fit.reference_length,
-            outside: Outside::Clamp,
-            notes: fit.notes.clone(),
-            covariance: fit.covariance.clone(),
-            source,
+    /// The model that `candidate` is for `system`.
+    pub fn new(candidate: Candidate, system: System) -> Self {
+        let fitted = &candidate.fitted;
+        Self {
+            predicts: fitted.quantity().into(),
+            unit: fitted.unit().into(),
+            reference_length: fitted.reference_length(),
+            candidate,
             system,
-            definitions,
-            goodness: fit.goodness,
-            coefficients: fit.coefficients.clone(),
-            ranges: fit.ranges.clone(),
-            test_vectors: Vec::new(),
-        };
-        let (fractions, widths) =
-            (model.range(Marker::SolidsFraction), model.range(Marker::FilterWidth));
-        // At the ends of each range, between them, and beyond.
-        let between = |(low, high): (f64, f64), share: f64| low + share * (high - low);
-        for share in [0.0, 0.2, 0.5, 0.8, 1.0, 1.25] {
-            for width in [0.0, 0.1, 0.3, 1.0, 2.0].map(|share| between(widths, share)) {
-                let solids_fraction = between(fractions, share);
-                let expected = model.evaluate(solids_fraction, width);
-                model.test_vectors.push(TestVector {
-                    solids_fraction,
-                    filter_width: width,
-                    expected,
-                });
-            }
         }
-        model
     }
 
     /// The value at solids fraction `solids_fraction` and filter width `filter_width_scaled` =
-    /// Δ_f/L, both clamped to the valid ranges. NaN for a form that is not in [`forms::FORMS`].
+    /// Δ_f/L, both clamped to the valid ranges; NaN if it depends on another marker.
     pub fn evaluate(&self, solids_fraction: f64, filter_width_scaled: f64) -> f64 {
-        let markers = self.clamped(solids_fraction, filter_width_scaled);
-        forms::form(&self.form).map_or(f64::NAN, |form| form.predict(&self.values(), &markers))
+        self.candidate.fitted.at(&self.markers(solids_fraction, filter_width_scaled))
     }
 
-    /// The value as for [`evaluate`](Self::evaluate), with its error: variance gᵀ C g, g the
-    /// gradient by the coefficients and C their covariance.
+    /// The value as for [`evaluate`](Self::evaluate), with its error.
     pub fn evaluate_with_error(&self, solids_fraction: f64, filter_width_scaled: f64) -> Estimate {
-        let Some(form) = forms::form(&self.form) else {
-            let nan = f64::NAN;
-            return Estimate { value: nan, standard_error: nan, low_95: nan, high_95: nan };
-        };
-        let markers = self.clamped(solids_fraction, filter_width_scaled);
-        let values = self.values();
-        let value = form.predict(&values, &markers);
-        let mut gradient = vec![0.0; values.len()];
-        form.gradient(&values, &markers, &mut gradient);
-        let mut variance = 0.0;
-        for (row, a) in self.covariance.iter().zip(&gradient) {
-            for (covariance, b) in row.iter().zip(&gradient) {
-                variance += a * covariance * b;
-            }
-        }
-        // Round-off can leave a variance of zero slightly negative.
-        let standard_error = variance.max(0.0).sqrt();
-        let half = student_quantile(self.goodness.degrees_of_freedom) * standard_error;
-        let (least, greatest) = form.image();
-        Estimate {
-            value,
-            standard_error,
-            low_95: (value - half).max(least),
-            high_95: (value + half).min(greatest),
-        }
+        self.candidate.estimate(&self.markers(solids_fraction, filter_width_scaled))
     }
 
     /// Whether a point lies inside the valid ranges.
     pub fn is_inside(&self, solids_fraction: f64, filter_width_scaled: f64) -> bool {
         let markers = self.markers(solids_fraction, filter_width_scaled);
-        self.ranges.iter().zip(markers).all(|(range, x)| (range.low..=range.high).contains(&x))
+        let ranges = self.candidate.fitted.ranges().iter();
+        ranges.zip(markers).all(|(range, x)| (range.low..=range.high).contains(&x))
     }
 
     /// Ends of the valid range of a marker; everything if the form does not have it.
     pub fn range(&self, marker: Marker) -> (f64, f64) {
-        self.ranges
-            .iter()
+        let mut ranges = self.candidate.fitted.ranges().iter();
+        ranges
             .find(|range| range.marker == marker)
             .map_or((0.0, f64::INFINITY), |range| (range.low, range.high))
     }
 
-    fn values(&self) -> Vec<f64> {
-        self.coefficients.iter().map(|c| c.value).collect()
-    }
-
     fn markers(&self, solids_fraction: f64, filter_width_scaled: f64) -> Vec<f64> {
-        self.ranges
-            .iter()
-            .map(|range| match range.marker {
-                Marker::SolidsFraction => solids_fraction,
-                Marker::FilterWidth => filter_width_scaled,
-                // A table of bins has no other marker.
-                _ => f64::NAN,
-            })
-            .collect()
-    }
-
-    fn clamped(&self, solids_fraction: f64, filter_width_scaled: f64) -> Vec<f64> {
-        let mut markers = self.markers(solids_fraction, filter_width_scaled);
-        for (marker, range) in markers.iter_mut().zip(&self.ranges) {
-            if self.outside == Outside::Clamp {
-                *marker = marker.clamp(range.low, range.high);
-            }
-        }
-        markers
+        let of = |marker: Marker| match marker {
+            Marker::SolidsFraction => solids_fraction,
+            Marker::FilterWidth => filter_width_scaled,
+            // A table of bins has no other marker.
+            _ => f64::NAN,
+        };
+        self.candidate.fitted.ranges().iter().map(|range| of(range.marker)).collect()
     }
 }
 
@@ -384,28 +280,22 @@ pub fn binned_closure_rows(bins: &[BinRow]) -> Vec<ClosureRow> {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::fit::Fit;
     use crate::fit::tests::{PLANTED, WIDTHS, fitted, synthetic};
     use crate::forms::{ClosureForm, SaturatingDrag};
     use crate::laws::scales::tests::{GAS, POWDER};
+    use crate::refit::Fitted;
+
+    /// Of a fit, without replicates.
+    pub(crate) fn candidate(fit: Fit) -> Candidate {
+        Candidate::new(Fitted::Form(fit), Vec::new(), None)
+    }
 
     /// A model of the planted parameters with noise.
     pub(crate) fn model() -> Model {
         let scales = Scales::new(&POWDER, &GAS, 9.81);
-        Model::new(
-            "base-drag",
-            &fitted(&synthetic(&WIDTHS, 0.58, 0.02, 1)),
-            Source { reference: "default".into(), version: "0.1.0".into(), seed: Some(7) },
-            System::new(&POWDER, &GAS, &scales),
-            Definitions::favre("wen-yu"),
-        )
-    }
-
-    #[test]
-    fn test_vectors_cover_both_sides_of_the_ranges() {
-        let model = model();
-        assert_eq!(model.test_vectors.len(), 30);
-        let outside = |v: &&TestVector| !model.is_inside(v.solids_fraction, v.filter_width);
-        assert!(model.test_vectors.iter().filter(outside).count() >= 10);
+        let fit = fitted(&synthetic(&WIDTHS, 0.58, 0.02, 1));
+        Model::new(candidate(fit), System::new(&POWDER, &GAS, &scales))
     }
 
     #[test]
@@ -427,13 +317,8 @@ pub(crate) mod tests {
         let mut covered = [0; 5];
         let scales = Scales::new(&POWDER, &GAS, 9.81);
         for seed in 0..100 {
-            let model = Model::new(
-                "replica",
-                &fitted(&synthetic(&WIDTHS, 0.58, 0.02, 1000 + seed)),
-                Source { reference: "synthetic".into(), version: "0".into(), seed: Some(seed) },
-                System::new(&POWDER, &GAS, &scales),
-                Definitions::favre("wen-yu"),
-            );
+            let fit = fitted(&synthetic(&WIDTHS, 0.58, 0.02, 1000 + seed));
+            let model = Model::new(candidate(fit), System::new(&POWDER, &GAS, &scales));
             for (count, point) in covered.iter_mut().zip(&points) {
                 let exact = SaturatingDrag.predict(&PLANTED, point);
                 let found = model.evaluate_with_error(point[0], point[1]);

@@ -335,10 +335,26 @@ fn is_empty(dir: &Path) -> bool {
 }
 
 /// `dir` with `suffix` at the end of its name: on the same disk, so that a rename is one step.
-pub(crate) fn beside(dir: &Path, suffix: &str) -> PathBuf {
+pub fn beside(dir: &Path, suffix: &str) -> PathBuf {
     let mut name = dir.file_name().map_or_else(OsString::new, OsString::from);
     name.push(suffix);
     dir.with_file_name(name)
+}
+
+/// A file, whole or not at all: written under another name beside it, and renamed. Makes the folder.
+///
+/// # Errors
+/// The folder cannot be made, or the file cannot be written.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    if let Some(folder) = path.parent() {
+        fs::create_dir_all(folder)?;
+    }
+    let partial = beside(path, ".partial");
+    let result = fs::write(&partial, bytes).and_then(|()| fs::rename(&partial, path));
+    if result.is_err() {
+        let _ = fs::remove_file(&partial);
+    }
+    result
 }
 
 #[cfg(test)]

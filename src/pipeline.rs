@@ -3,20 +3,24 @@
 
 pub mod fields;
 pub mod models;
+mod report;
+
+pub use report::{figures, report};
 
 use crate::bench;
-use crate::case::{Case, Precision};
+use crate::case::{Case, CaseError, Precision};
 use crate::checkpoint::{CheckpointError, Checkpoints};
 use crate::closure::ClosureFile;
 use crate::figure::{self, FigureError};
 use crate::fine::FineFields;
-use crate::fit::{Fit, FitError, ReferenceLength, fit};
 use crate::forms::SaturatingDrag;
 use crate::laws::scales::Scales;
-use crate::model::{Definitions, Model, Source, System, binned_closure_rows, closure_rows};
+use crate::model::{Definitions, Model, System, binned_closure_rows, closure_rows};
 use crate::output::{Output, OutputError, RUN_FILE};
 use crate::pool::{Pool, PoolSummary};
 use crate::progress::Progress;
+use crate::refit::{Bins, Candidate, RefitError, Shape, preferred, refit};
+use crate::report::{Folder, REPORT_FILE, ReportError, page};
 use crate::resolved::ResolvedError;
 use crate::resolved::series::SeriesError;
 use crate::resolved::write::{RecordError, Recorder};
@@ -112,6 +116,12 @@ pub enum RunError {
     /// Nothing could be measured.
     #[error(transparent)]
     Bench(#[from] bench::BenchError),
+    /// What is to be reported cannot be read.
+    #[error(transparent)]
+    Report(#[from] ReportError),
+    /// The case of an interrupted run is not acceptable.
+    #[error(transparent)]
+    Case(#[from] CaseError),
     /// Its files cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
@@ -147,19 +157,33 @@ pub fn run(
         })
         .unzip();
     let bins = bin_table(&sums, &scales)?;
-    let model = fit_drag_correction(&bins).map(|fit| closure(case, &scales, &fit));
+    let sums = sums_file(case, sums);
+    let candidates = fit_drag_correction(&sums.runs, &scales, case.powder.max_packing);
+    let system = System::new(&case.powder, &case.gas, &scales);
+    let model = candidates
+        .as_ref()
+        .map(|found| preferred(found, DRAG).map(|taken| Model::new(taken.clone(), system)));
+    let model = match model {
+        Ok(model) => model.ok_or_else(String::new),
+        Err(why) => Err(why.to_string()),
+    };
     let summary = Summary::new(
         case,
         &scales,
         boxes.iter().map(|(_, summary)| summary.clone()).collect(),
         &bins,
-        model.as_ref().map_err(ToString::to_string),
+        candidates.map_err(|why| why.to_string()),
         Machine { threads, seconds: checkpoints.seconds(), ..Machine::here() },
     );
     export(case, output, &boxes, &bins, model.as_ref().ok(), &summary)?;
     fields::take_fields(case, checkpoints, output)?;
-    let sums = sums_file(case, sums);
     output.write(SUMS_FILE, |file| sums.write(file))?;
+    // From the files, as `favre report` makes it.
+    let command = format!("favre report {}", output.dir().display());
+    let mut found = Folder::read(output.partial())?;
+    found.path = output.dir().into();
+    let page = page(&[found], &command);
+    output.write(REPORT_FILE, |file| file.write_all(page.as_bytes()))?;
     Ok(summary)
 }
 
@@ -192,6 +216,38 @@ pub fn pooled(pool: &Pool, output: &Output) -> Result<PoolSummary, RunError> {
     let summary = pool.summary();
     output.write(RUN_FILE, |file| Ok(serde_json::to_writer_pretty(file, &summary)?))?;
     Ok(summary)
+}
+
+/// Fits in `output`, which the caller commits: the preferred shape of the first quantity in model.toml,
+/// of others in model_QUANTITY.toml, and run.json.
+///
+/// # Errors
+/// A file cannot be written.
+pub fn fitted(
+    name: &str,
+    system: Option<&SumsSystem>,
+    found: &[Candidate],
+    output: &Output,
+) -> Result<(), RunError> {
+    let drag = system.map_or("not stated by the bin tables", |system| &system.drag);
+    let system = system.map(|system| System::new(&system.powder, &system.gas, &system.scales()));
+    let mut quantities: Vec<&str> = found.iter().map(|candidate| candidate.quantity).collect();
+    quantities.dedup();
+    let preferred = quantities.iter().filter_map(|quantity| preferred(found, quantity));
+    for (i, taken) in preferred.enumerate() {
+        let definitions = Definitions::favre(drag);
+        let closure = ClosureFile::fitted(name, taken, None, system, definitions);
+        // Forms have symbols of their own, so a file holds one.
+        let file = match i {
+            0 => "model.toml".to_owned(),
+            _ => format!("model_{}.toml", taken.quantity),
+        };
+        output.write(&file, |to| {
+            to.write_all(closure.to_toml().map_err(io::Error::other)?.as_bytes())
+        })?;
+    }
+    output.write(RUN_FILE, |file| Ok(serde_json::to_writer_pretty(file, found)?))?;
+    Ok(())
 }
 
 /// Speed against error in `output`, which the caller commits: error.csv, a figure per quantity and
@@ -309,7 +365,7 @@ fn simulate_box(
         }
     };
     let mut bar = progress.start(fraction, case.run.duration);
-    let watch = |signals: &_, steps| bar.update(signals, steps);
+    let watch = |signals: &_, pace| bar.update(signals, pace);
     let recorder = Recorder::new(case, checkpoints.fields(fraction));
     if let Some(recorder) = &recorder {
         recorder.begin(kept.as_ref().map_or(0, |kept| kept.signals.time.len() as u64 - 1))?;
@@ -366,24 +422,24 @@ fn sums_system(case: &Case) -> SumsSystem {
     }
 }
 
-fn fit_drag_correction(bins: &[BinRow]) -> Result<Fit, FitError> {
-    let rows: Vec<BinRow> =
-        bins.iter().filter(|row| row.quantity == "drag_correction").cloned().collect();
-    fit(&SaturatingDrag, &rows, ReferenceLength::One)
-}
+/// The quantity that a run's closure is of.
+const DRAG: &str = "drag_correction";
 
-fn closure(case: &Case, scales: &Scales, fit: &Fit) -> Model {
-    Model::new(
-        &case.name,
-        fit,
-        Source {
-            reference: case.name.clone(),
-            version: env!("CARGO_PKG_VERSION").into(),
-            seed: Some(case.run.seed),
-        },
-        System::new(&case.powder, &case.gas, scales),
-        Definitions::favre(&case.physics.drag.to_string()),
-    )
+/// Replicates of a run's bins, and the seed that they are drawn from.
+const REPLICATES: (usize, u64) = (200, 1);
+
+/// The surface and the form of the drag correction that fit; the reason if neither does.
+fn fit_drag_correction(
+    runs: &[RunSums],
+    scales: &Scales,
+    packing: f64,
+) -> Result<Vec<Candidate>, RefitError> {
+    let bins = Bins::of_runs(runs, scales, REPLICATES.0, REPLICATES.1)?.packed(packing);
+    let form = refit(&bins, Shape::Form(&SaturatingDrag));
+    match (refit(&bins, Shape::Spline), form) {
+        (Err(_), Err(why)) => Err(why),
+        (spline, form) => Ok([spline, form].into_iter().flatten().collect()),
+    }
 }
 
 /// Writes the files of a run.
@@ -400,15 +456,18 @@ fn export(
     output.write("signals.csv", |file| write_signals(boxes, file).map_err(io::Error::other))?;
     if let Some(model) = model {
         output.write("model.toml", |file| {
-            let text = ClosureFile::fitted(model).to_toml().map_err(io::Error::other)?;
-            file.write_all(text.as_bytes())
+            let definitions = Definitions::favre(&case.physics.drag.to_string());
+            let (seed, system) = (Some(case.run.seed), Some(model.system));
+            let closure =
+                ClosureFile::fitted(&case.name, &model.candidate, seed, system, definitions);
+            file.write_all(closure.to_toml().map_err(io::Error::other)?.as_bytes())
         })?;
         let mut rows = closure_rows(model, &case.filter.widths);
         let others: Vec<BinRow> =
             bins.iter().filter(|row| row.quantity != model.predicts).cloned().collect();
         rows.extend(binned_closure_rows(&others));
         output.write("closures.csv", |file| write_rows(&rows, file).map_err(io::Error::other))?;
-        let drawing = figure::closure_figure(bins, model);
+        let drawing = figure::closure_chart(bins, &rows, &model.predicts).figure();
         output.write("closures.svg", |file| file.write_all(drawing.svg().as_bytes()))?;
     }
     let scale = summary.scales.terminal_velocity;
@@ -426,7 +485,9 @@ fn export(
         output.write(&format!("field_{phi}.png"), |file| file.write_all(&field))?;
         let slip: Vec<f64> = simulated.signals.slip.iter().map(|slip| slip / scale).collect();
         let uniform = simulated.uniform_slip / scale;
-        let drawing = figure::series_figure(&simulated.signals.time, &slip, summary.start, uniform);
+        let times = &simulated.signals.time;
+        let drawing =
+            figure::series_chart(times, &slip, Some(summary.start), Some(uniform)).figure();
         output
             .write(&format!("slip_{phi}.svg"), |file| file.write_all(drawing.svg().as_bytes()))?;
     }

@@ -482,11 +482,7 @@ impl<R: Real, const D: usize> Poisson<R, D> {
             if curvature <= 0.0 {
                 return Solve { iterations: iteration, residual: worst };
             }
-            let along = if beta == 0.0 {
-                zr
-            } else {
-                rows.fold(&|o| dot(residual.row(o), direction.row(o)), &|a, b| a + b)
-            };
+            let along = if beta == 0.0 { zr } else { product(&rows, residual, direction) };
             alpha = along / curvature;
             old = zr;
             worst = rows
@@ -567,29 +563,28 @@ fn correct<const D: usize>(levels: &mut [Level<D>], twice: bool) {
     level.take_off_mean();
     std::mem::swap(&mut level.solution, &mut level.first);
     let Level { rows, weights, first, image, right, .. } = level;
-    let bilinear = |x: &Field<Fast, D>, y: &Field<Fast, D>| {
-        rows.fold(&|o| dot(x.row(o), y.row(o)), &|a, b| a + b)
-    };
     rows.each([&mut *image], |o, [image]| image_row(image, Stencil::at(weights, first, o)));
-    let curvature = bilinear(first, image);
-    let share = step_length(bilinear(first, right), curvature);
+    let curvature = product(rows, first, image);
+    let share = step_length(product(rows, first, right), curvature);
     rows.each([right], |o, [right]| subtract_row(right, image.row(o), share as Fast));
     levels[0].start(scale);
     cycle(levels, twice);
     levels[0].take_off_mean();
 
     let Level { rows, weights, first, image, right, solution, other, .. } = &mut levels[0];
-    let bilinear = |x: &Field<Fast, D>, y: &Field<Fast, D>| {
-        rows.fold(&|o| dot(x.row(o), y.row(o)), &|a, b| a + b)
-    };
-    let (mixed, second_along) = (bilinear(solution, image), bilinear(solution, right));
+    let (mixed, second_along) = (product(rows, solution, image), product(rows, solution, right));
     rows.each([&mut *other], |o, [image]| image_row(image, Stencil::at(weights, solution, o)));
     let shared = if curvature > 0.0 { mixed / curvature } else { 0.0 };
-    let second_share = step_length(second_along, bilinear(solution, other) - mixed * shared);
+    let second_share = step_length(second_along, product(rows, solution, other) - mixed * shared);
     let first_share = share - shared * second_share;
     rows.each([solution], |o, [solution]| {
         combine_row(solution, first.row(o), second_share as Fast, first_share as Fast);
     });
+}
+
+/// Σ x y over the cells.
+fn product<R: Real, const D: usize>(rows: &Rows<D>, x: &Field<R, D>, y: &Field<R, D>) -> f64 {
+    rows.fold(&|o| dot(x.row(o), y.row(o)), &|a, b| a + b)
 }
 
 /// How much of a direction lowers the error most, from its product with the residual and its curvature;

@@ -1,7 +1,7 @@
 //! [`Progress`]: what a running box shows on standard error.
 
 use crate::series::mean_with_error;
-use crate::simulate::Signals;
+use crate::simulate::{Pace, Signals};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
@@ -74,7 +74,7 @@ impl Progress {
 
 impl BoxProgress {
     /// Shows where the box is.
-    pub fn update(&mut self, signals: &Signals, steps: u64) {
+    pub fn update(&mut self, signals: &Signals, pace: Pace) {
         let time = signals.time.last().copied().unwrap_or_default();
         self.bar.set_position((1000.0 * time / self.duration) as u64);
         let due = match self.last_line {
@@ -84,9 +84,12 @@ impl BoxProgress {
         if !due {
             return;
         }
-        let rate = steps as f64 / self.begin.elapsed().as_secs_f64().max(1e-9);
+        let rate = pace.steps as f64 / self.begin.elapsed().as_secs_f64().max(1e-9);
+        let step = pace.last.map_or(String::new(), |step| {
+            format!(" of {:.1e} s (limited by {})", step.dt, step.limit)
+        });
         let text = format!(
-            "t = {time:.3} of {:.3} s, {rate:.0} steps/s, slip {}",
+            "t = {time:.3} of {:.3} s, {rate:.0} steps/s{step}, slip {}",
             self.duration,
             self.slip(signals)
         );

@@ -10,7 +10,7 @@ use crate::series::{Onset, steady_start};
 use crate::spectral::Kernel;
 use crate::statistics::{Axis, Bins, Marker, MergeError, Sampler, Sampling, Sums};
 use crate::stored::StoredSampling;
-use crate::two_fluid::{Limit, Means, Setup, StateError, StepError, TwoFluid};
+use crate::two_fluid::{Limit, Means, Setup, StateError, StepError, StepReport, TwoFluid};
 use std::io::{self, Read, Write};
 
 /// Sampling intervals in a block of time, the smallest unit of the error estimate.
@@ -102,6 +102,15 @@ pub struct Cost {
     pub momentum_change: f64,
     /// Seconds of the wall clock.
     pub seconds: f64,
+}
+
+/// How fast a box is simulated, as far as it has come.
+#[derive(Clone, Copy, Debug)]
+pub struct Pace {
+    /// Steps since it was started or gone on with.
+    pub steps: u64,
+    /// The last of them.
+    pub last: Option<StepReport>,
 }
 
 /// A box that has been simulated.
@@ -303,7 +312,7 @@ pub fn simulate<R: Real, const D: usize>(
     solids_fraction: f64,
     parallel: bool,
     stop: &dyn Fn() -> bool,
-    watch: impl FnMut(&Signals, u64),
+    watch: impl FnMut(&Signals, Pace),
 ) -> Result<Simulated, SimulateError> {
     let record = |_: u64, _: &FineFields<D>, _: &Signals| Ok(());
     simulate_from::<R, D>(case, solids_fraction, parallel, stop, watch, None, |_, _| {}, record)
@@ -328,7 +337,7 @@ pub fn simulate_from<R: Real, const D: usize>(
     solids_fraction: f64,
     parallel: bool,
     stop: &dyn Fn() -> bool,
-    mut watch: impl FnMut(&Signals, u64),
+    mut watch: impl FnMut(&Signals, Pace),
     kept: Option<Kept>,
     mut keep: impl FnMut(Moment, &Underway),
     mut record: impl FnMut(u64, &FineFields<D>, &Signals) -> Result<(), RecordError>,
@@ -370,6 +379,7 @@ pub fn simulate_from<R: Real, const D: usize>(
         let write_flow = &|to: &mut dyn Write| flow.save_state(to);
         keep(moment, &Underway { time: flow.time(), signals, cost, sums, write_flow });
     };
+    let mut last = None;
     for sample in signals.time.len() as u64..=samples(case) {
         let until = sample as f64 * run.sample_interval;
         while flow.time() < until {
@@ -380,6 +390,7 @@ pub fn simulate_from<R: Real, const D: usize>(
             let step = flow
                 .step(until)
                 .map_err(|source| SimulateError::Step { solids_fraction, source })?;
+            last = Some(step);
             cost.steps += 1;
             cost.pressure_iterations += step.iterations as u64;
             cost.gas_steps += step.gas_steps as u64;
@@ -392,7 +403,7 @@ pub fn simulate_from<R: Real, const D: usize>(
         sampler.sample(&fine);
         record(sample, &fine, &signals)
             .map_err(|source| SimulateError::Record { time: until, source })?;
-        watch(&signals, cost.steps - before.steps);
+        watch(&signals, Pace { steps: cost.steps - before.steps, last });
     }
     keep(Moment::End, &flow, &signals, cost, sampler.sums());
     let end = flow.means();

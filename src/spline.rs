@@ -5,7 +5,8 @@
 //! surface does not turn more often than its coefficients do (de Boor, *A Practical Guide to Splines*,
 //! 2001), so that three conditions on the coefficients shape the whole surface:
 //!
-//! - c_0j = c_i0 = 0: nothing at φ = 0 and at D = 0;
+//! - c_0j = c_i0 = 0: nothing at φ = 0 and at D = 0; c_ij = 0 for the last i: nothing at the densest
+//!   packing, where nothing moves;
 //! - c_ij ≤ c_i(j+1): never less for a wider filter;
 //! - c_ij ≤ [`CEILING`] < 1.
 //!
@@ -14,7 +15,7 @@
 //! bins' intervals hold the surface (the discrepancy principle): what the bins' errors leave open is
 //! smoothed away, and nothing else.
 
-use crate::fit::{FitError, ReferenceLength, ValidRange};
+use crate::fit::{FitError, Goodness, ReferenceLength, ValidRange, check_rows};
 use crate::forms::Marker;
 use crate::table::BinRow;
 use faer::linalg::solvers::Solve;
@@ -63,12 +64,11 @@ pub struct SplineFit {
     pub reference_length: ReferenceLength,
     /// λ.
     pub smoothing: f64,
-    /// Rows fitted.
-    pub points: usize,
-    /// Share of their 95 % intervals that hold the surface [-].
+    /// Share of the 95 % intervals of the rows that hold the surface [-].
     pub inside: f64,
-    /// 1 - Σ (residual/σ)²/Σ ((value - weighted mean)/σ)² [-].
-    pub r_squared: f64,
+    /// How well it follows them; degrees of freedom are the rows less the trace of what maps values to
+    /// fitted values, rounded.
+    pub goodness: Goodness,
     /// Ranges that the bins cover.
     pub ranges: Vec<ValidRange>,
 }
@@ -205,28 +205,18 @@ impl Spline {
     }
 }
 
-/// Fits a spline to `rows`, all of one quantity with values in [0, 1); `smoothing` is λ, or none to
-/// have it found.
+/// Fits a spline to `rows`, all of one quantity with values in [0, 1), of a powder whose densest packing is
+/// `packing`; `smoothing` is λ, or none to have it found.
 ///
 /// # Errors
 /// [`FitError`] for numbers that cannot be fitted, or fewer than twelve rows.
 pub fn fit_spline(
     rows: &[BinRow],
     reference_length: ReferenceLength,
+    packing: f64,
     smoothing: Option<f64>,
 ) -> Result<SplineFit, FitError> {
-    for (i, row) in rows.iter().enumerate() {
-        let width = reference_length.scaled_width(row);
-        let checks = [
-            ("filter_width", width, width > 0.0 && width.is_finite()),
-            ("solids_fraction", row.solids_fraction, (0.0..=1.0).contains(&row.solids_fraction)),
-            ("value", row.value, row.value.is_finite()),
-            ("standard_error", row.standard_error, row.standard_error >= 0.0),
-        ];
-        if let Some((column, value, _)) = checks.into_iter().find(|(.., good)| !good) {
-            return Err(FitError::BadNumber { row: i + 1, column, value });
-        }
-    }
+    check_rows(rows, reference_length)?;
     let used: Vec<&BinRow> = rows.iter().filter(|row| row.standard_error.is_finite()).collect();
     if used.len() < PIECES {
         return Err(FitError::TooFewRows { found: used.len(), needed: PIECES, parameters: PIECES });
@@ -245,8 +235,13 @@ pub fn fit_spline(
         let at = widths[k * widths.len() / pieces - 1];
         at / (at + width_scale)
     }));
-    let end = (densest / FRACTION_SCALE).ln_1p();
-    let fraction_knots: Vec<f64> = (0..=PIECES).map(|k| end * k as f64 / PIECES as f64).collect();
+    // Up to the bins, and one piece on to the packing.
+    let scaled = |fraction: f64| (fraction / FRACTION_SCALE).ln_1p();
+    let beyond = packing > 1.02 * densest;
+    let end = scaled(if beyond { densest } else { packing });
+    let mut fraction_knots: Vec<f64> =
+        (0..=PIECES).map(|k| end * k as f64 / PIECES as f64).collect();
+    fraction_knots.extend(beyond.then(|| scaled(packing)));
     let empty = Spline {
         fraction_scale: FRACTION_SCALE,
         width_scale,
@@ -262,48 +257,35 @@ pub fn fit_spline(
         };
         used.iter().filter(holds).count() as f64 / used.len() as f64
     };
-    let mut best: Option<(f64, Spline, f64)> = None;
+    let mut best: Option<(f64, Spline, f64, f64)> = None;
     let ladder: Vec<f64> = match smoothing {
         Some(smoothing) => vec![smoothing],
         None => (-8..=16).rev().map(|step| 10f64.powf(0.5 * f64::from(step))).collect(),
     };
     for smoothing in ladder {
-        let spline = problem.solve(smoothing, &empty);
+        let (spline, freedom) = problem.solve(smoothing, &empty);
         let share = inside(&spline);
         if best.as_ref().is_none_or(|(most, ..)| share > *most) {
-            best = Some((share, spline, smoothing));
+            best = Some((share, spline, smoothing, freedom));
         }
         if share >= HELD {
             break;
         }
     }
-    let (inside, spline, smoothing) = best.expect("the ladder has a step");
-    let weights = used.iter().map(|row| (row.value, problem.weight(row)));
-    let total: f64 = weights.clone().map(|(_, weight)| weight).sum();
-    let mean = weights.clone().map(|(value, weight)| value * weight).sum::<f64>() / total;
-    let scatter: f64 = weights.map(|(value, weight)| weight * (value - mean).powi(2)).sum();
-    let residual = |row: &&BinRow| {
-        problem.weight(row) * (row.value - spline.at(row.solids_fraction, width(row))).powi(2)
-    };
-    let unexplained: f64 = used.iter().map(residual).sum();
+    let (inside, spline, smoothing, freedom) = best.expect("the ladder has a step");
+    let goodness =
+        problem.goodness(&used, freedom, |row| spline.at(row.solids_fraction, width(row)));
     let low = used.iter().map(|row| row.solids_fraction_low.max(0.0)).fold(1.0, f64::min);
     let ranges = vec![
-        ValidRange { marker: Marker::SolidsFraction, low, high: densest },
+        // A limit that it has by construction, as at D = 0.
+        ValidRange { marker: Marker::SolidsFraction, low, high: packing },
         ValidRange {
             marker: Marker::FilterWidth,
             low: if narrowest < widest { 0.0 } else { 0.999 * narrowest },
             high: widest,
         },
     ];
-    Ok(SplineFit {
-        spline,
-        reference_length,
-        smoothing,
-        points: used.len(),
-        inside,
-        r_squared: 1.0 - unexplained / scatter,
-        ranges,
-    })
+    Ok(SplineFit { spline, reference_length, smoothing, inside, goodness, ranges })
 }
 
 /// The penalised least squares in the increments d_ij = c_ij - c_i(j-1), all of which are ≥ 0.
@@ -318,7 +300,8 @@ struct Problem {
 
 impl Problem {
     fn new(rows: &[&BinRow], reference_length: ReferenceLength, spline: &Spline) -> Self {
-        let (lines, columns) = (spline.fraction_knots.len(), spline.width_knots.len());
+        // The first and the last along x are zero.
+        let (lines, columns) = (spline.fraction_knots.len() - 1, spline.width_knots.len());
         let count = lines * columns;
         let mean_square = rows.iter().map(|row| row.value.powi(2)).sum::<f64>() / rows.len() as f64;
         let mut problem = Self {
@@ -336,8 +319,7 @@ impl Problem {
             let (i, along_x) = basis(&spline.fraction_knots, x);
             let (j, along_y) = basis(&spline.width_knots, scaled / (scaled + spline.width_scale));
             for (a, x) in along_x.into_iter().enumerate() {
-                // The first coefficient of either direction is zero and no unknown.
-                let Some(i) = (i + a).checked_sub(1) else { continue };
+                let Some(i) = (i + a).checked_sub(1).filter(|i| *i < lines) else { continue };
                 for (b, y) in along_y.into_iter().enumerate() {
                     // c_ij is the sum of the increments up to j.
                     (0..j + b).for_each(|k| line[i * columns + k] += x * y);
@@ -388,8 +370,57 @@ impl Problem {
         1.0 / (row.standard_error.powi(2) + self.floor)
     }
 
-    /// The minimum for λ = `smoothing`, by active sets.
-    fn solve(&self, smoothing: f64, empty: &Spline) -> Spline {
+    /// How well `at` follows the rows with so many parameters' `freedom`.
+    fn goodness(&self, rows: &[&BinRow], freedom: f64, at: impl Fn(&BinRow) -> f64) -> Goodness {
+        let points = rows.len();
+        let degrees_of_freedom = points - (freedom.round() as usize).min(points - 1);
+        let total: f64 = rows.iter().map(|row| self.weight(row)).sum();
+        let mean = rows.iter().map(|row| self.weight(row) * row.value).sum::<f64>() / total;
+        let sum = |of: &dyn Fn(&BinRow) -> f64| rows.iter().map(|row| of(row)).sum::<f64>();
+        let scatter = sum(&|row| self.weight(row) * (row.value - mean).powi(2));
+        let square = |row: &BinRow| (row.value - at(row)).powi(2);
+        let unexplained = sum(&|row| self.weight(row) * square(row));
+        // χ² with s falls in s: bisection, between none and the largest residual.
+        let goal = degrees_of_freedom as f64;
+        let with = |s: f64| sum(&|row| square(row) / (1.0 / self.weight(row) + s * s));
+        let (mut low, mut high) =
+            (0.0, rows.iter().map(|row| square(row).sqrt()).fold(0.0, f64::max));
+        high *= (points as f64).sqrt();
+        let extra_scatter = if unexplained <= goal {
+            0.0
+        } else {
+            for _ in 0..60 {
+                let middle = 0.5 * (low + high);
+                *if with(middle) > goal { &mut low } else { &mut high } = middle;
+            }
+            high
+        };
+        let sigma = |row: &BinRow| (1.0 / self.weight(row) + extra_scatter.powi(2)).sqrt();
+        let scaled: Vec<f64> = rows.iter().map(|row| (row.value - at(row)) / sigma(row)).collect();
+        let neighbours = rows.windows(2).zip(scaled.windows(2));
+        let pairs: Vec<f64> = neighbours
+            .filter(|(rows, _)| {
+                rows[0].filter_width == rows[1].filter_width
+                    && rows[0].solids_fraction < rows[1].solids_fraction
+            })
+            .map(|(_, pair)| pair[0] * pair[1])
+            .collect();
+        let mean_square = scaled.iter().map(|r| r * r).sum::<f64>() / points as f64;
+        let mean_product = pairs.iter().sum::<f64>() / pairs.len().max(1) as f64;
+        Goodness {
+            points,
+            degrees_of_freedom,
+            r_squared: 1.0 - unexplained / scatter,
+            rmse: (sum(&square) / points as f64).sqrt(),
+            reduced_chi_squared: unexplained / goal,
+            extra_scatter,
+            neighbour_correlation: if mean_square > 0.0 { mean_product / mean_square } else { 0.0 },
+        }
+    }
+
+    /// The minimum for λ = `smoothing`, by active sets, and its freedom: the trace of what maps values to
+    /// fitted values.
+    fn solve(&self, smoothing: f64, empty: &Spline) -> (Spline, f64) {
         let count = self.right.nrows();
         let mean = (0..count).map(|k| self.matrix[(k, k)]).sum::<f64>() / count as f64;
         // What neither bins nor penalty fix is as small as it can be.
@@ -442,14 +473,20 @@ impl Problem {
             }
         }
         let mut spline = empty.clone();
-        for (i, row) in spline.coefficients.iter_mut().enumerate().skip(1) {
+        let lines = count / self.columns;
+        for (i, row) in spline.coefficients.iter_mut().enumerate().skip(1).take(lines) {
             let mut sum = 0.0;
             for (j, coefficient) in row.iter_mut().enumerate().skip(1) {
                 sum += values[(i - 1) * self.columns + j - 1].max(0.0);
                 *coefficient = f64::min(sum, CEILING);
             }
         }
-        spline
+        let part =
+            |of: &Mat<f64>| Mat::from_fn(free.len(), free.len(), |a, b| of[(free[a], free[b])]);
+        let hat = part(&full).llt(Side::Lower).map(|factors| factors.solve(part(&self.matrix)));
+        let freedom =
+            hat.map_or(free.len() as f64, |hat| (0..free.len()).map(|k| hat[(k, k)]).sum());
+        (spline, freedom)
     }
 }
 
@@ -463,7 +500,7 @@ pub(crate) mod tests {
 
     fn fitted(noise: f64, seed: u64) -> (Vec<BinRow>, SplineFit) {
         let rows = synthetic(&WIDTHS, 0.58, noise, seed);
-        let fit = fit_spline(&rows, ReferenceLength::One, None).unwrap();
+        let fit = fit_spline(&rows, ReferenceLength::One, 0.65, None).unwrap();
         (rows, fit)
     }
 
@@ -486,7 +523,7 @@ pub(crate) mod tests {
     fn the_surface_follows_what_was_planted() {
         let (_, fit) = fitted(0.01, 3);
         assert!(fit.inside >= 0.93, "{}", fit.inside);
-        assert!(fit.r_squared > 0.99, "{}", fit.r_squared);
+        assert!(fit.goodness.r_squared > 0.99, "{:?}", fit.goodness);
         let mut sum = 0.0;
         for i in 1..28 {
             for width in [1.0, 1.5, 3.0, 4.0, 6.0, 12.0] {
@@ -517,6 +554,7 @@ pub(crate) mod tests {
                 }
             }
             assert_eq!(fit.spline.at(0.0, 4.0), 0.0);
+            assert_eq!((fit.spline.at(0.65, 4.0), fit.spline.at(0.9, 4.0)), (0.0, 0.0));
         }
     }
 
@@ -551,8 +589,9 @@ pub(crate) mod tests {
     #[test]
     fn bad_rows_and_bad_files_are_refused() {
         let (rows, fit) = fitted(0.02, 1);
-        let error =
-            |rows: &[BinRow]| fit_spline(rows, ReferenceLength::One, None).unwrap_err().to_string();
+        let error = |rows: &[BinRow]| {
+            fit_spline(rows, ReferenceLength::One, 0.65, None).unwrap_err().to_string()
+        };
         let mut bad = rows.clone();
         bad[4].value = f64::NAN;
         assert_eq!(error(&bad), "row 5: value = NaN cannot be fitted; remove the row");
@@ -566,7 +605,7 @@ pub(crate) mod tests {
         };
         assert!(spoil(&|s| s.width_scale = 0.0).starts_with("width_scale = 0: a positive"));
         assert!(spoil(&|s| s.fraction_knots[3] = 0.0).starts_with("fraction_knots: 2 to 50"));
-        assert!(spoil(&|s| s.coefficients[2].truncate(1)).starts_with("coefficients: 14 lists of"));
+        assert!(spoil(&|s| s.coefficients[2].truncate(1)).starts_with("coefficients: 15 lists of"));
         assert_eq!(
             spoil(&|s| s.coefficients[2][2] = 1.0),
             "coefficients: 1 is not from 0 to below 1"
@@ -578,8 +617,8 @@ pub(crate) mod tests {
     fn the_default_runs_bins_hold_the_surface() {
         let text = include_str!("../data/default/drag_correction.csv");
         let rows = crate::table::parse_bins(text.as_bytes(), std::path::Path::new("bins.csv"));
-        let fit = fit_spline(&rows.unwrap(), ReferenceLength::One, None).unwrap();
-        println!("{} {} {} {}", fit.points, fit.inside, fit.smoothing, fit.r_squared);
-        assert!(fit.points > 100 && fit.inside >= HELD, "{} of {}", fit.inside, fit.points);
+        let fit = fit_spline(&rows.unwrap(), ReferenceLength::One, 0.65, None).unwrap();
+        let points = fit.goodness.points;
+        assert!(points > 100 && fit.inside >= HELD, "{} of {points}", fit.inside);
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::case::Case;
 use crate::laws::scales::Scales;
-use crate::model::Model;
+use crate::refit::{Candidate, preferred};
 use crate::rows::{Simd, simd_level};
 use crate::series::{Onset, SeriesStatistics, mean_with_error};
 use crate::simulate::{Cost, Signals, Simulated};
@@ -182,27 +182,14 @@ pub struct Summary {
     drag_corrections: Vec<Found>,
     /// Rows of the bin table.
     pub bins: usize,
-    /// The closure fitted: formula, coefficients with errors, goodness.
-    pub closure: Option<ClosureSummary>,
+    /// Name of the shape that is the closure.
+    pub closure: Option<&'static str>,
+    /// What was fitted: coefficients with intervals, goodness, score on boxes left out.
+    pub candidates: Vec<Candidate>,
     /// What a user must know, one sentence each.
     pub warnings: Vec<String>,
     /// Where it ran and how long.
     pub machine: Machine,
-}
-
-/// The closure in brief.
-#[derive(Clone, Debug, Serialize)]
-pub struct ClosureSummary {
-    /// Formula.
-    pub formula: String,
-    /// Symbol, value, standard error, and whether it was held for want of data.
-    pub coefficients: Vec<(String, f64, f64, bool)>,
-    /// Share of the weighted variance of the bins that it explains.
-    pub r_squared: f64,
-    /// Scatter of the bins about it beyond their own errors: its own error.
-    pub scatter: f64,
-    /// Bins that it was fitted to.
-    pub points: usize,
 }
 
 impl Summary {
@@ -212,10 +199,11 @@ impl Summary {
         scales: &Scales,
         boxes: Vec<BoxSummary>,
         bins: &[BinRow],
-        model: Result<&Model, String>,
+        candidates: Result<Vec<Candidate>, String>,
         machine: Machine,
     ) -> Self {
-        let warnings = warnings(case, scales, &boxes, &model);
+        let warnings = warnings(case, scales, &boxes, &candidates);
+        let candidates = candidates.unwrap_or_default();
         Self {
             version: env!("CARGO_PKG_VERSION"),
             name: case.name.clone(),
@@ -230,17 +218,8 @@ impl Summary {
             drag_corrections: drag_corrections(case, bins),
             boxes,
             bins: bins.len(),
-            closure: model.ok().map(|model| ClosureSummary {
-                formula: model.formula.clone(),
-                coefficients: model
-                    .coefficients
-                    .iter()
-                    .map(|c| (c.symbol.clone(), c.value, c.standard_error, c.held))
-                    .collect(),
-                r_squared: model.goodness.r_squared,
-                scatter: model.goodness.extra_scatter,
-                points: model.goodness.points,
-            }),
+            closure: preferred(&candidates, "drag_correction").map(|taken| taken.name),
+            candidates,
             warnings,
             machine,
         }
@@ -274,7 +253,7 @@ fn warnings(
     case: &Case,
     scales: &Scales,
     boxes: &[BoxSummary],
-    model: &Result<&Model, String>,
+    candidates: &Result<Vec<Candidate>, String>,
 ) -> Vec<String> {
     let mut warnings = Vec::new();
     match stability(case) {
@@ -301,8 +280,14 @@ fn warnings(
             ));
         }
     }
-    match model {
-        Ok(model) => warnings.extend(model.notes.iter().map(|note| format!("closure: {note}"))),
+    match candidates {
+        Ok(found) => {
+            let notes = |found: &Candidate| {
+                let of = |note: &String| format!("{}: {note}", found.name);
+                found.notes.iter().map(of).collect::<Vec<String>>()
+            };
+            warnings.extend(found.iter().flat_map(notes));
+        }
         Err(why) => warnings.push(format!("no closure was fitted: {why}")),
     }
     warnings
@@ -371,26 +356,31 @@ impl fmt::Display for Summary {
             }
             writeln!(f)?;
         }
-        if let Some(closure) = &self.closure {
+        for found in &self.candidates {
             writeln!(f)?;
-            writeln!(f, "  {}", closure.formula)?;
-            let coefficients: Vec<String> = closure
+            writeln!(f, "  {}: {}", found.name, found.fitted.formula())?;
+            let coefficients: Vec<String> = found
                 .coefficients
                 .iter()
-                .map(|(symbol, value, error, held)| {
-                    if *held {
-                        format!("{symbol} = {value:.4} (held)")
-                    } else {
-                        format!("{symbol} = {}", interval(*value, *error))
-                    }
+                .map(|c| match c.held {
+                    true => format!("{} = {:.4} (not fixed)", c.symbol, c.value),
+                    false => format!("{} = {}", c.symbol, interval(c.value, c.standard_error)),
                 })
                 .collect();
-            writeln!(f, "  {}", coefficients.join(", "))?;
-            writeln!(
+            if !coefficients.is_empty() {
+                writeln!(f, "  {}", coefficients.join(", "))?;
+            }
+            let scatter = found.fitted.goodness().extra_scatter;
+            write!(
                 f,
-                "  fitted to {} bins: R² = {:.3}, scatter beyond their errors {:.3}",
-                closure.points, closure.r_squared, closure.scatter
+                "  fitted to {} bins: R² = {:.3}, scatter beyond their errors {scatter:.3}",
+                found.points, found.r_squared
             )?;
+            if let Some(score) = found.held_out {
+                write!(f, "; R² on boxes left out {score:.3}")?;
+            }
+            let taken = self.closure == Some(found.name);
+            writeln!(f, "{}", if taken { ": the closure" } else { "" })?;
         }
         writeln!(f)?;
         for term in &self.terms {
@@ -414,7 +404,7 @@ impl fmt::Display for Summary {
 }
 
 /// A number and its standard error, two digits of it.
-fn interval(value: f64, error: f64) -> String {
+pub fn interval(value: f64, error: f64) -> String {
     if !error.is_finite() {
         return format!("{value:.3} ± ?");
     }

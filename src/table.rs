@@ -298,9 +298,43 @@ pub fn write_rows<T: Serialize>(rows: &[T], writer: impl Write) -> Result<(), cs
 /// # Errors
 /// [`TableError`] when the file cannot be read, or as for [`parse_bins`].
 pub fn read_bins(path: &Path) -> Result<Vec<BinRow>, TableError> {
-    let file = File::open(path)
-        .map_err(|e| TableError::Unreadable { path: path.into(), source: e.into() })?;
-    parse_bins(file, path)
+    parse_bins(open(path)?, path)
+}
+
+/// Reads the rows of a bin table whose quantity is `wanted`; the others, read past, may hold anything.
+/// There may be none.
+///
+/// # Errors
+/// As for [`read_bins`].
+pub fn read_bins_of(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<BinRow>, TableError> {
+    parse_bins_of(open(path)?, path, wanted)
+}
+
+/// Reads the rows of a closure table whose quantity is `wanted` and whose values are a form's; there
+/// may be none.
+///
+/// # Errors
+/// [`TableError::Unreadable`] when the file cannot be read or is no closure table.
+pub fn read_closures_of(
+    path: &Path,
+    wanted: &dyn Fn(&str) -> bool,
+) -> Result<Vec<ClosureRow>, TableError> {
+    let unreadable = |source| TableError::Unreadable { path: path.into(), source };
+    let mut table = csv::Reader::from_reader(open(path)?);
+    let headers = table.headers().map_err(unreadable)?.clone();
+    let mut rows = Vec::new();
+    for record in table.records() {
+        let record = record.map_err(unreadable)?;
+        // Quantity and origin stand first and third.
+        if record.get(0).is_some_and(wanted) && record.get(2) == Some("fit") {
+            rows.push(record.deserialize(Some(&headers)).map_err(unreadable)?);
+        }
+    }
+    Ok(rows)
+}
+
+fn open(path: &Path) -> Result<File, TableError> {
+    File::open(path).map_err(|e| TableError::Unreadable { path: path.into(), source: e.into() })
 }
 
 /// Reads a bin table, in whatever order its columns stand; `path` names it in errors.
@@ -309,6 +343,18 @@ pub fn read_bins(path: &Path) -> Result<Vec<BinRow>, TableError> {
 /// [`TableError`] for a missing or extra column, a field that is no number or not a possible one
 /// (NaN, negative error, fraction outside 0 to 1, empty bin), or a table without rows.
 pub fn parse_bins(reader: impl Read, path: &Path) -> Result<Vec<BinRow>, TableError> {
+    let rows = parse_bins_of(reader, path, &|_| true)?;
+    if rows.is_empty() {
+        return Err(TableError::Empty { path: path.into() });
+    }
+    Ok(rows)
+}
+
+fn parse_bins_of(
+    reader: impl Read,
+    path: &Path,
+    wanted: &dyn Fn(&str) -> bool,
+) -> Result<Vec<BinRow>, TableError> {
     let unreadable = |source| TableError::Unreadable { path: path.into(), source };
     let mut csv = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(reader);
     let headers = csv.headers().map_err(unreadable)?.clone();
@@ -323,9 +369,13 @@ pub fn parse_bins(reader: impl Read, path: &Path) -> Result<Vec<BinRow>, TableEr
         let expected = BIN_COLUMNS.join(", ");
         return Err(TableError::MissingColumn { path: path.into(), column, expected });
     }
+    let quantity = headers.iter().position(|header| header == "quantity");
     let mut rows = Vec::new();
     for record in csv.records() {
         let record = record.map_err(unreadable)?;
+        if quantity.and_then(|i| record.get(i)).is_some_and(|quantity| !wanted(quantity)) {
+            continue;
+        }
         let line = record.position().map_or(0, |position| position.line());
         let bad = |column: &str, why: String| {
             let field = headers.iter().position(|header| header == column);
@@ -349,9 +399,6 @@ pub fn parse_bins(reader: impl Read, path: &Path) -> Result<Vec<BinRow>, TableEr
             return Err(bad(column, why.into()));
         }
         rows.push(row);
-    }
-    if rows.is_empty() {
-        return Err(TableError::Empty { path: path.into() });
     }
     Ok(rows)
 }

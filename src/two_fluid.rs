@@ -105,8 +105,14 @@ const FIRST_STEP: f64 = 1e-3;
 const LONGEST_STEP: f64 = 0.05;
 const SHORTEST_STEP: f64 = 1e-6;
 
-/// Remaining divergence of the total volume flux, times dt, that ends the pressure iteration.
-const TOLERANCE: f64 = 1e-3;
+/// Remaining divergence of the total volume flux, times dt, that ends the pressure iteration. The next
+/// step's increment makes up for it. At 3e-3 and 1e-2 slip and variance of three seeds agree with these
+/// within their errors, for 5 and 11 % of the time, but a mean gas flux is kept less well.
+pub const TOLERANCE: f64 = 1e-3;
+
+/// That above which the pressure counts as not converged: round-off stops single precision above
+/// [`TOLERANCE`], which is no failure.
+const UNSOLVED: f64 = 0.1;
 
 /// Fewest slabs of a part of the box that a thread of its own makes.
 const LEAST_SLABS: usize = 16;
@@ -387,7 +393,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         }
     }
 
-    /// With `tolerance` for the divergence of the total volume flux, times dt, in place of 1e-3:
+    /// With `tolerance` for the divergence of the total volume flux, times dt, in place of [`TOLERANCE`]:
     /// what the pressure leaves of it hides a perturbation that is not much larger.
     #[must_use]
     pub fn with_tolerance(mut self, tolerance: f64) -> Self {
@@ -528,8 +534,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         if !(report.volume_residual.is_finite() && fastest.is_finite() && self.is_finite()) {
             return Err(self.not_finite(&report));
         }
-        // Round-off stops single precision above the tolerance; that much is no failure.
-        if report.volume_residual > 100.0 * TOLERANCE {
+        if report.volume_residual > UNSOLVED {
             return Err(self.not_converged(&report));
         }
         Clock::lap(&mut self.clock, Stage::Correction);

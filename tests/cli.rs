@@ -540,9 +540,6 @@ fn exports_are_whole_or_refused_with_what_is_nearest() {
     let message = refused(&without, "openfoam");
     assert!(message.contains("it is filter_width, which has no range here"), "{message}");
     assert!(message.contains("nearest"), "{message}");
-    let message = refused(&original.replace("saturating_drag", "mine"), "latex");
-    assert!(message.contains("form \"mine\"") && message.contains("known: saturating_drag"));
-    assert!(message.contains("nearest: leave out [fit]"), "{message}");
     let message = refused(&original.replace("wen-yu", "mine"), "mfix");
     assert!(message.contains("drag law \"mine\"") && message.contains("nearest"), "{message}");
     let message = stderr(&favre(dir.path(), &["export", "defualt", "--to", "c"]));

@@ -238,13 +238,7 @@ impl Material {
     fn new(closure: &Closure) -> Self {
         let default = || Closure::find("default").unwrap().file.system.unwrap();
         let system = closure.file.system.unwrap_or_else(default);
-        let powder = Powder {
-            diameter: system.diameter,
-            density: system.particle_density,
-            restitution: system.restitution,
-            max_packing: system.max_packing,
-        };
-        let gas = Gas { density: system.gas_density, viscosity: system.gas_viscosity };
+        let (powder, gas) = (system.powder(), system.gas());
         let scales = Scales::new(&powder, &gas, system.gravity);
         let (reference, law) =
             (closure.file.reference_length, closure.file.definitions.drag.clone());

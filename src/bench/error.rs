@@ -19,7 +19,7 @@ use crate::real::Real;
 use crate::series::Onset;
 use crate::simulate::{Signals, sampling, setup};
 use crate::statistics::{Sampler, Sums, bin_table};
-use crate::two_fluid::TwoFluid;
+use crate::two_fluid::{TOLERANCE, TwoFluid};
 use serde::Serialize;
 use std::fmt;
 use std::io::Write;
@@ -200,7 +200,7 @@ fn variants(physics: &Physics, cells: [usize; 2], quick: bool) -> Vec<Variant> {
         name: "base".into(),
         cells,
         precision: Precision::Double,
-        tolerance: 1e-3,
+        tolerance: TOLERANCE,
         step: None,
         time_order: 1,
         physics: physics.clone(),

@@ -167,19 +167,9 @@ fn check(facts: &Facts) -> String {
 
 /// The files of this target.
 pub fn export(facts: &Facts) -> Vec<Piece> {
-    let first = &facts.quantities[0];
-    let symbols: Vec<&str> = first.ranges.iter().map(|range| range.symbol()).collect();
-    let readme = fill(
-        include_str!("c/README.md"),
-        &[
-            ("name", &facts.name),
-            ("facts", &facts.readme),
-            ("call", &format!("favre_{}({})", first.name, symbols.join(", "))),
-        ],
-    );
     vec![
         Piece::text("favre_closure.h", header(facts)),
         Piece::text("check.c", check(facts)),
-        Piece::text("README.md", readme),
+        facts.readme_of_routines(include_str!("c/README.md")),
     ]
 }

@@ -263,20 +263,10 @@ fn check(facts: &Facts) -> String {
 
 /// The files of this target.
 pub fn export(facts: &Facts) -> Vec<Piece> {
-    let first = &facts.quantities[0];
-    let symbols: Vec<&str> = first.ranges.iter().map(|range| range.symbol()).collect();
-    let readme = fill(
-        include_str!("fortran/README.md"),
-        &[
-            ("name", &facts.name),
-            ("facts", &facts.readme),
-            ("call", &format!("favre_{}({})", first.name, symbols.join(", "))),
-        ],
-    );
     vec![
         Piece::text("favre_closure.f90", module(facts)),
         Piece::text("check.f90", check(facts)),
-        Piece::text("README.md", readme),
+        facts.readme_of_routines(include_str!("fortran/README.md")),
     ]
 }
 

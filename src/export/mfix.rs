@@ -7,12 +7,6 @@ use super::solver::Solver;
 use super::{Piece, Quantity, fill};
 use crate::fit::ReferenceLength;
 
-/// A call of a quantity in Fortran; the markers are variables of their own names.
-fn call(quantity: &Quantity) -> String {
-    let symbols: Vec<&str> = quantity.ranges.iter().map(|range| range.symbol()).collect();
-    format!("favre_{}({})", quantity.name, symbols.join(", "))
-}
-
 /// The files of this target.
 pub fn export(solver: &Solver) -> Vec<Piece> {
     let facts = solver.facts;
@@ -34,14 +28,14 @@ pub fn export(solver: &Solver) -> Vec<Piece> {
     let mut keywords = String::new();
     if let Some(drag) = solver.drag {
         let mut texts = common.to_vec();
-        let (base, call) = (base(facts), call(drag));
+        let (base, call) = (base(facts), drag.call());
         texts.extend([("base", &*base), ("drag", &*call)]);
         pieces.push(Piece::text("usr_drag.f", fill(include_str!("mfix/usr_drag.f"), &texts)));
         keywords += "    DRAG_TYPE = 'USR_DRAG'\n";
     }
     if solver.has_stress() {
         let mut texts = common.to_vec();
-        let sum = |parts: &[&Quantity]| Solver::sum(parts, call);
+        let sum = |parts: &[&Quantity]| Solver::sum(parts, Quantity::call);
         let (viscosity, pressure) = (sum(&solver.viscosity), sum(&solver.pressure));
         texts.extend([("viscosity", &*viscosity), ("pressure", &*pressure)]);
         let text = fill(include_str!("mfix/usr_properties.f"), &texts);

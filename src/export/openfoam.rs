@@ -65,6 +65,7 @@ fn library(solver: &Solver) -> Vec<Piece> {
         ("pressure", sum(&solver.pressure)),
     ];
     let mut sources = vec![
+        ("favreCellWidths.H", include_str!("openfoam/lib/favreCellWidths.H")),
         ("periodicWeight.H", include_str!("openfoam/lib/periodicWeight.H")),
         ("periodicWeight.C", include_str!("openfoam/lib/periodicWeight.C")),
     ];

@@ -2,11 +2,12 @@
 //! a user's own.
 
 use super::Bounds::{Any, Between, Positive};
-use super::{Bounds, ClosureForm, MARKERS, Marker, Parameter};
+use super::{ClosureForm, MARKERS, Marker, Parameter, parameter};
 use crate::expression::{Expression, Meaning, Program};
 use serde::Deserialize;
 
-/// A form given by a function of parameters and markers; its gradient is taken by differences.
+/// A form given by a function of parameters and markers, compiled or a user's; its gradient is taken by
+/// differences.
 #[derive(Debug)]
 pub struct FormulaForm {
     name: &'static str,
@@ -17,16 +18,16 @@ pub struct FormulaForm {
     image: (f64, f64),
     markers: &'static [Marker],
     parameters: &'static [Parameter],
-    predict: fn(&[f64], &[f64]) -> f64,
+    predict: Predict,
 }
 
-const fn parameter(
-    name: &'static str,
-    symbol: &'static str,
-    default: f64,
-    bounds: Bounds,
-) -> Parameter {
-    Parameter { name, symbol, unit: "-", default, bounds }
+/// What a value is computed by.
+#[derive(Debug)]
+enum Predict {
+    /// From the parameters and the markers.
+    Function(fn(&[f64], &[f64]) -> f64),
+    /// From the markers and then the parameters.
+    Program(Program),
 }
 
 /// D^p/(D^p + D_h^p), 0 at D = 0.
@@ -61,7 +62,7 @@ pub static SLIP_DRAG: FormulaForm = FormulaForm {
         parameter("exponent", "p", 1.297, Positive),
         parameter("closing_fraction", "phi_c", 0.5275, Between(0.4, 0.75)),
     ],
-    predict: |p, m| {
+    predict: Predict::Function(|p, m| {
         let closeness = m[0] / p[6];
         if !(m[0] > 0.0 && closeness < 1.0) {
             return 0.0;
@@ -69,7 +70,7 @@ pub static SLIP_DRAG: FormulaForm = FormulaForm {
         let slip = m[2].max(0.0);
         let shape = -(-m[0] / p[1]).exp_m1() * (1.0 - closeness.powf(p[4]));
         p[2] * saturating(m[1], p[0], p[5]) * slip / (slip + p[3]) * shape
-    },
+    }),
 };
 
 /// Drift velocity per slip, v_d/s = -g(D) h(φ), as Parmentier et al. (2012) and Ozel et al. (2013) write
@@ -91,7 +92,9 @@ pub static DRIFT_VELOCITY: FormulaForm = FormulaForm {
         parameter("exponent", "p", 1.3, Positive),
         parameter("closing_fraction", "phi_c", 0.63, Between(0.4, 0.75)),
     ],
-    predict: |p, m| -p[1] * saturating(m[1], p[0], p[4]) * hump(m[0], p[3], p[2], p[5]),
+    predict: Predict::Function(|p, m| {
+        -p[1] * saturating(m[1], p[0], p[4]) * hump(m[0], p[3], p[2], p[5])
+    }),
 };
 
 /// Drift velocity linear in the slip and in the filtered pressure gradient, the latter an apparent added
@@ -114,10 +117,10 @@ pub static DRIFT_PRESSURE: FormulaForm = FormulaForm {
         parameter("exponent", "p", 1.3, Positive),
         parameter("closing_fraction", "phi_c", 0.63, Between(0.4, 0.75)),
     ],
-    predict: |p, m| {
+    predict: Predict::Function(|p, m| {
         let shape = saturating(m[1], p[2], p[5]) * hump(m[0], p[4], p[3], p[6]);
         -shape * (p[0] * m[2] + p[1] * m[3])
-    },
+    }),
 };
 
 /// Smagorinsky coefficient C_μ(φ) = C (φ/φ_c)^a (1 - φ/φ_c)^b of ρ_s Δ_f² S, as Milioli et al. and Sarkar et
@@ -136,7 +139,7 @@ pub static SMAGORINSKY: FormulaForm = FormulaForm {
         parameter("fall", "b", 1.0, Positive),
         parameter("closing_fraction", "phi_c", 0.63, Between(0.4, 0.75)),
     ],
-    predict: |p, m| p[0] * hump(m[0], p[1], p[2], p[3]),
+    predict: Predict::Function(|p, m| p[0] * hump(m[0], p[1], p[2], p[3])),
 };
 
 const POWERS: &[Parameter] = &[
@@ -169,7 +172,7 @@ pub static VISCOSITY_POWER: FormulaForm = FormulaForm {
     image: (0.0, f64::INFINITY),
     markers: &[Marker::SolidsFraction, Marker::FilterWidth, Marker::ShearRate],
     parameters: POWERS,
-    predict: powers,
+    predict: Predict::Function(powers),
 };
 
 /// Filtered solids pressure over ρ_s u_t² as a power law, A φ^a D^n S^k: Smagorinsky's has n = k = 2.
@@ -182,7 +185,7 @@ pub static PRESSURE_POWER: FormulaForm = FormulaForm {
     image: (0.0, f64::INFINITY),
     markers: &[Marker::SolidsFraction, Marker::FilterWidth, Marker::ShearRate],
     parameters: POWERS,
-    predict: powers,
+    predict: Predict::Function(powers),
 };
 
 /// ∂ predict/∂ parameter by central differences, whose error is some 1e-9 of the value.
@@ -236,43 +239,15 @@ impl ClosureForm for FormulaForm {
     }
 
     fn predict(&self, parameters: &[f64], markers: &[f64]) -> f64 {
-        (self.predict)(parameters, markers)
+        match &self.predict {
+            Predict::Function(function) => function(parameters, markers),
+            Predict::Program(program) => program.at(&[markers, parameters].concat()),
+        }
     }
 
     fn gradient(&self, parameters: &[f64], markers: &[f64], gradient: &mut [f64]) {
         differences(self, parameters, markers, gradient);
     }
-}
-
-/// A form of the user's own, a TOML file:
-///
-/// ```toml
-/// name = "mine"
-/// predicts = "drag_correction"
-/// unit = "-"
-/// markers = ["solids_fraction", "filter_width"]
-/// formula = "a*D/(D + b)*(1 - phi/0.65)"
-///
-/// [[parameters]]
-/// name = "a"
-/// start = 0.8
-/// low = 0.0                  # with high: between them
-/// high = 1.0
-///
-/// [[parameters]]
-/// name = "b"
-/// start = 1.0
-/// low = 0.0                  # alone, and 0: positive
-/// ```
-#[derive(Debug)]
-pub struct UserForm {
-    name: &'static str,
-    formula: &'static str,
-    quantity: &'static str,
-    unit: &'static str,
-    markers: &'static [Marker],
-    parameters: &'static [Parameter],
-    program: Program,
 }
 
 #[derive(Deserialize)]
@@ -295,8 +270,27 @@ struct UserParameter {
     high: Option<f64>,
 }
 
-impl UserForm {
-    /// Reads a form. It lives as long as the program does, as the forms that are built in.
+impl FormulaForm {
+    /// Reads a form of the user's own, which then lives as long as the program does. A TOML file:
+    ///
+    /// ```toml
+    /// name = "mine"
+    /// predicts = "drag_correction"
+    /// unit = "-"
+    /// markers = ["solids_fraction", "filter_width"]
+    /// formula = "a*D/(D + b)*(1 - phi/0.65)"
+    ///
+    /// [[parameters]]
+    /// name = "a"
+    /// start = 0.8
+    /// low = 0.0                  # with high: between them
+    /// high = 1.0
+    ///
+    /// [[parameters]]
+    /// name = "b"
+    /// start = 1.0
+    /// low = 0.0                  # alone, and 0: positive
+    /// ```
     ///
     /// # Errors
     /// Key, what is wrong with it and what would be right.
@@ -343,57 +337,18 @@ impl UserForm {
             let symbols = MARKERS.map(|(_, name, symbol)| format!("{symbol} ({name})")).join(", ");
             format!("formula: {why}; markers are {symbols}")
         })?;
+        let text: &'static str = file.formula.leak();
         Ok(Box::leak(Box::new(Self {
             name: file.name.leak(),
-            formula: file.formula.leak(),
+            formula: text,
             quantity: file.predicts.leak(),
             unit: file.unit.leak(),
+            expression: text,
+            image: (f64::NEG_INFINITY, f64::INFINITY),
             markers: markers.leak(),
             parameters: parameters.leak(),
-            program,
+            predict: Predict::Program(program),
         })))
-    }
-}
-
-impl ClosureForm for UserForm {
-    fn name(&self) -> &'static str {
-        self.name
-    }
-
-    fn formula(&self) -> &'static str {
-        self.formula
-    }
-
-    fn expression(&self) -> &'static str {
-        self.formula
-    }
-
-    fn quantity(&self) -> &'static str {
-        self.quantity
-    }
-
-    fn unit(&self) -> &'static str {
-        self.unit
-    }
-
-    fn image(&self) -> (f64, f64) {
-        (f64::NEG_INFINITY, f64::INFINITY)
-    }
-
-    fn markers(&self) -> &'static [Marker] {
-        self.markers
-    }
-
-    fn parameters(&self) -> &'static [Parameter] {
-        self.parameters
-    }
-
-    fn predict(&self, parameters: &[f64], markers: &[f64]) -> f64 {
-        self.program.at(&[markers, parameters].concat())
-    }
-
-    fn gradient(&self, parameters: &[f64], markers: &[f64], gradient: &mut [f64]) {
-        differences(self, parameters, markers, gradient);
     }
 }
 
@@ -445,7 +400,7 @@ mod tests {
                     formula = \"a*D/(D + b)*(1 - phi)\"\n\
                     [[parameters]]\nname = \"a\"\nstart = 0.8\nlow = 0.0\nhigh = 1.0\n\
                     [[parameters]]\nname = \"b\"\nstart = 1.0\nlow = 0.0\n";
-        let form = UserForm::parse(good).unwrap();
+        let form = FormulaForm::parse(good).unwrap();
         assert_eq!(form.predict(&[0.5, 1.0], &[0.2, 3.0]), 0.5 * 0.75 * 0.8);
         let mut gradient = [0.0; 2];
         form.gradient(&[0.5, 1.0], &[0.2, 3.0], &mut gradient);
@@ -459,7 +414,7 @@ mod tests {
             ("unit =", "unti =", "unknown field `unti`"),
         ] {
             assert!(good.contains(from), "{from}");
-            let found = UserForm::parse(&good.replacen(from, to, 1)).unwrap_err();
+            let found = FormulaForm::parse(&good.replacen(from, to, 1)).unwrap_err();
             assert!(found.contains(why), "{found}");
         }
     }

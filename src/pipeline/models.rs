@@ -14,7 +14,7 @@ use std::io::{self, Write};
 pub fn write_comparison(comparison: &Comparison, output: &Output) -> Result<(), RunError> {
     output.write("comparison.csv", |file| comparison.write_csv(file).map_err(io::Error::other))?;
     for (i, panel) in comparison.panels.iter().enumerate() {
-        let drawing = figure::comparison_figure(comparison, panel);
+        let drawing = figure::comparison_chart(comparison, panel).figure();
         let name = format!("comparison_{}.svg", i + 1);
         output.write(&name, |file| file.write_all(drawing.svg().as_bytes()))?;
         let pixels = drawing.png()?;

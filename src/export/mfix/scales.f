@@ -24,3 +24,15 @@
     y = {{length}}
     if (d <= 0.0_dp) y = huge(y)
   end function reference_length
+
+  ! Edge of a cube of the cell's volume, or of a square of its area in two dimensions.
+  pure function cell_width(volume, area, three) result(y)
+    double precision, intent(in) :: volume, area
+    logical, intent(in) :: three
+    real(dp) :: y
+    if (three) then
+      y = volume**(1.0_dp/3.0_dp)
+    else
+      y = sqrt(area)
+    end if
+  end function cell_width

@@ -24,11 +24,7 @@
 {{constants}}      real(dp) :: phi, D, V, u_t, cell, base, re
 
       u_t = terminal_velocity(DPM, ROs, ROg, Mug, GRAVITY)
-      if (DO_K) then
-        cell = VOL(IJK)**(1.0_dp/3.0_dp)
-      else
-        cell = sqrt(AXY(IJK))
-      end if
+      cell = cell_width(VOL(IJK), AXY(IJK), DO_K)
       phi = 1.0_dp - EPg
       D = filter_size_ratio*cell/reference_length(u_t, GRAVITY, DPM)
       V = VREL/u_t

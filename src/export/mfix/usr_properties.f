@@ -24,11 +24,7 @@
       integer :: i
 
       u_t = terminal_velocity(d_p(IJK,M), ro_s(IJK,M), ro_g(IJK), mu_g(IJK), GRAVITY)
-      if (DO_K) then
-        cell = VOL(IJK)**(1.0_dp/3.0_dp)
-      else
-        cell = sqrt(AXY(IJK))
-      end if
+      cell = cell_width(VOL(IJK), AXY(IJK), DO_K)
       phi = ep_s(IJK,M)
       D = filter_size_ratio*cell/reference_length(u_t, GRAVITY, d_p(IJK,M))
 

@@ -14,6 +14,7 @@
 #include "fvc.H"
 #include "addToRunTimeSelectionTable.H"
 #include "favre_closure.h"
+#include "favreCellWidths.H"
 #include "favre_scales.h"
 
 namespace Foam
@@ -97,20 +98,7 @@ void Foam::dragModels::favreDrag::scales() const
     }
     const double u_t = uT_, g = g_;
     const double L = {{length}};
-    scalar thickness = 1;
-    for (direction c = 0; c < vector::nComponents; c++)
-    {
-        if (mesh.geometricD()[c] == -1)
-        {
-            thickness *= mesh.bounds().max()[c] - mesh.bounds().min()[c];
-        }
-    }
-    const scalar exponent = 1.0/scalar(mesh.nGeometricD());
-    width_.setSize(mesh.nCells());
-    forAll(width_, i)
-    {
-        width_[i] = ratio_*Foam::pow(mesh.V()[i]/thickness, exponent)/L;
-    }
+    width_ = (ratio_/L)*favreCellWidths(mesh);
     Info<< "favreDrag: " << FAVRE_CLOSURE_NAME << " " << FAVRE_CLOSURE_SHA256 << nl
         << "favreDrag: diameter " << d << ", u_t " << u_t << ", reference length " << L
         << ", filter width over it " << gMin(width_) << " to " << gMax(width_) << endl;

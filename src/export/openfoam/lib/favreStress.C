@@ -10,6 +10,7 @@
 #include "zeroGradientFvPatchFields.H"
 #include "addToRunTimeSelectionTable.H"
 #include "favre_closure.h"
+#include "favreCellWidths.H"
 
 namespace Foam
 {
@@ -105,20 +106,7 @@ void Foam::RASModels::favreStress::scales(const dictionary& coeffs)
     const double u_t = uT_, g = g_, d = d_;
     const double L = {{length}};
     (void)d;
-    scalar thickness = 1;
-    for (direction c = 0; c < vector::nComponents; c++)
-    {
-        if (mesh.geometricD()[c] == -1)
-        {
-            thickness *= mesh.bounds().max()[c] - mesh.bounds().min()[c];
-        }
-    }
-    const scalar exponent = 1.0/scalar(mesh.nGeometricD());
-    width_.setSize(mesh.nCells());
-    forAll(width_, i)
-    {
-        width_[i] = ratio_*Foam::pow(mesh.V()[i]/thickness, exponent)/L;
-    }
+    width_ = (ratio_/L)*favreCellWidths(mesh);
 }
 
 Foam::tmp<Foam::surfaceScalarField> Foam::RASModels::favreStress::pPrimef() const

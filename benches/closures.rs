@@ -1,0 +1,79 @@
+//! Ten million points through closures, on one thread: `cargo bench --bench closures`.
+//!
+//! The library call evaluates columns in memory; the command reads doubles from a file and writes doubles
+//! to another. Medians of five, wall time and what of it a core worked.
+
+use assert_cmd::cargo::cargo_bin;
+use cpu_time::ProcessTime;
+use favre::closure::Closure;
+use std::fs::File;
+use std::io::Write;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+const POINTS: usize = 10_000_000;
+
+/// Names of closures, and files from the command line.
+const CLOSURES: [&str; 4] = ["default", "igci-sundaresan-2011-2d", "milioli-2013", "sarkar-2016"];
+
+fn median(mut times: Vec<Duration>) -> f64 {
+    times.sort();
+    times[times.len() / 2].as_secs_f64()
+}
+
+fn main() {
+    let given: Vec<String> = std::env::args().skip(1).filter(|arg| !arg.starts_with('-')).collect();
+    let all = CLOSURES.iter().map(|name| (*name).to_owned()).chain(given);
+    let dir = tempfile::tempdir().expect("a folder for the points");
+    println!("10 million points, one thread, seconds:");
+    println!(
+        "{:26} {:>12} {:>12} {:>18}",
+        "closure", "library", "of one core", "eval --stdin --binary"
+    );
+    for name in all {
+        let closure = Closure::find(&name).expect("a closure");
+        let quantity = &closure.quantities[0];
+        // Points spread evenly over the ranges, no two alike.
+        let columns: Vec<Vec<f64>> = quantity
+            .file
+            .ranges
+            .iter()
+            .enumerate()
+            .map(|(k, range)| {
+                let step =
+                    [0.618_033_988_749_894_9, 0.754_877_666_246_692_8, 0.549_700_477_901_967]
+                        [k % 3];
+                let at = |i: usize| (0.5 + step * i as f64).fract();
+                (0..POINTS).map(|i| range.low + at(i) * (range.high - range.low)).collect()
+            })
+            .collect();
+        let parts: Vec<&[f64]> = columns.iter().map(|column| &column[..]).collect();
+        let mut values = vec![0.0; POINTS];
+        let (mut wall, mut core) = (Vec::new(), Vec::new());
+        for _ in 0..5 {
+            let (start, worked) = (Instant::now(), ProcessTime::now());
+            quantity.evaluate(&parts, &mut values);
+            wall.push(start.elapsed());
+            core.push(worked.elapsed());
+        }
+        let path = dir.path().join("points");
+        let mut bytes = Vec::with_capacity(8 * POINTS * columns.len());
+        for i in 0..POINTS {
+            columns.iter().for_each(|column| bytes.extend(column[i].to_le_bytes()));
+        }
+        File::create(&path).and_then(|mut file| file.write_all(&bytes)).expect("points written");
+        let piped = (0..5).map(|_| {
+            let start = Instant::now();
+            let done = Command::new(cargo_bin!("favre"))
+                .args(["models", "eval", &name, "--stdin", "--binary"])
+                .stdin(File::open(&path).expect("points"))
+                .stdout(File::create(dir.path().join("values")).expect("values"))
+                .stderr(Stdio::inherit())
+                .status();
+            assert!(done.expect("favre").success());
+            start.elapsed()
+        });
+        let piped = median(piped.collect());
+        println!("{name:26} {:12.2} {:12.2} {piped:18.2}", median(wall), median(core));
+    }
+}
