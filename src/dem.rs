@@ -27,9 +27,6 @@ mod pairs;
 mod start;
 mod state;
 
-#[cfg(test)]
-mod tests;
-
 pub use start::{StartError, lattice, packed, thermal};
 pub use state::StateError;
 
@@ -573,3 +570,6 @@ fn check(setup: &Setup, spheres: &[Sphere]) -> Result<(), SetupError> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,4 +1,5 @@
 use super::*;
+use crate::rows::on_threads;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -118,8 +119,8 @@ fn the_bits_are_the_same_on_any_number_of_threads_and_in_any_portions() {
     let serial = run(false, &[900]);
     assert!(serial == run(false, &[1, 17, 582, 300]), "in portions");
     for threads in [1, 2, 3, 5] {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        assert!(serial == pool.install(|| run(true, &[900])), "{threads} threads");
+        let parallel = on_threads(threads, || run(true, &[900])).unwrap();
+        assert!(serial == parallel, "{threads} threads");
     }
 }
 

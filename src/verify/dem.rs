@@ -261,7 +261,7 @@ fn cooling(effort: Effort) -> Result<Vec<Row>, Box<dyn Error>> {
     let (boxes, within) = if effort == Effort::Full { (24, 0.02) } else { (4, 0.03) };
     let number = 2000;
     let mut rows = Vec::new();
-    for (e, fraction) in [(0.9f64, 0.1f64), (0.8, 0.2)] {
+    for (e, fraction) in [(0.9f64, 0.05f64), (0.9, 0.1)] {
         // Slow against the stiffness: overlaps of 0.1 %, as if spheres were hard.
         let speed = 0.02;
         let g0 = (1.0 - 0.5 * fraction) / (1.0 - fraction).powi(3);
