@@ -655,14 +655,14 @@ impl Quantity {
 const PIECE: usize = 4096;
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::fit::tests::{WIDTHS, fitted, synthetic};
     use crate::model::tests::{candidate, model};
     use crate::refit::{Bins, Shape, refit};
 
     /// A fit of planted parameters with noise as a file.
-    fn file() -> ClosureFile {
+    pub(crate) fn file() -> ClosureFile {
         let fit = candidate(fitted(&synthetic(&WIDTHS, 0.58, 0.02, 1)));
         let definitions = Definitions::favre("wen-yu");
         ClosureFile::fitted("base-drag", &fit, Some(7), Some(model().system), definitions)

@@ -743,7 +743,8 @@ mod tests {
     fn closure_figure_names_its_axes_and_filter_widths() {
         let mut rows = synthetic(&WIDTHS[..4], 0.56, 0.02, 1);
         rows[0].high_95 = f64::INFINITY;
-        let curves = closure_rows(&model(), &WIDTHS[..4]);
+        let widths: Vec<f64> = rows.iter().map(|row| row.filter_width).collect();
+        let curves = closure_rows(&model(), &widths);
         let figure = closure_chart(&rows, &curves, "drag_correction").figure();
         let svg = figure.svg();
         for text in

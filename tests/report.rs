@@ -1,7 +1,10 @@
 //! The report of runs: that it carries the numbers of the bins, says what is missing, and that a browser
 //! is content with it.
 
+mod common;
+
 use assert_cmd::cargo::cargo_bin;
+use common::SYSTEM;
 use favre::report::{Folder, page};
 use favre::table::read_bins;
 use std::collections::BTreeMap;
@@ -10,16 +13,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use tempfile::TempDir;
 
-/// A small case of one box.
+/// What a small run asks for beside the common powder and gas.
 const CASE: &str = r#"
-[powder]
-diameter = 75e-6
-density = 1500.0
-restitution = 0.9
-max_packing = 0.65
-[gas]
-density = 1.3
-viscosity = 1.8e-5
 [box]
 size = [0.04, 0.04]
 cells = [32, 32]
@@ -48,7 +43,7 @@ fn reported(dir: &Path, folders: &[&str]) -> String {
 /// A run of [`CASE`] in a folder of its own.
 fn run() -> (TempDir, PathBuf) {
     let temp = TempDir::new().unwrap();
-    fs::write(temp.path().join("small.toml"), CASE).unwrap();
+    fs::write(temp.path().join("small.toml"), [SYSTEM, CASE].concat()).unwrap();
     let (status, said) = favre(temp.path(), &["run", "small.toml", "--quiet", "--out", "out"]);
     assert_eq!(status, 0, "{said}");
     let out = temp.path().join("out");

@@ -302,7 +302,9 @@ pub fn markdown(facts: &Facts) -> Vec<Piece> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::closure::tests::file;
     use crate::closure::{BUILT_IN, Closure};
+    use std::path::Path;
 
     fn of(piece: &Piece) -> String {
         String::from_utf8(piece.bytes.clone()).unwrap()
@@ -310,7 +312,8 @@ mod tests {
 
     #[test]
     fn the_fitted_model_reads_as_in_a_paper() {
-        let closure = Closure::find("default").unwrap();
+        let text = file().to_toml().unwrap();
+        let closure = Closure::parse(&text, Path::new("model.toml")).unwrap();
         let facts = Facts::new(&closure, false).unwrap();
         let tex = of(&latex(&facts)[0]);
         assert!(tex.contains("H = "), "{tex}");

@@ -30,8 +30,7 @@ pub fn page(folders: &[Folder], command: &str) -> String {
         [name] => format!("Favre: {name}"),
         names => format!("Favre: {} runs", names.len()),
     };
-    let policy =
-        "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:";
+    let policy = include_str!("policy.txt");
     html! {
         (DOCTYPE)
         html lang="en" {
@@ -72,13 +71,7 @@ pub fn page(folders: &[Folder], command: &str) -> String {
 fn several(folders: &[Folder]) -> Markup {
     html! {
         h2 #runs { "The runs" }
-        div.wide tabindex="0" role="region" aria-label="The runs" {
-            table {
-                thead { tr {
-                    th scope="col" { "run" } th scope="col" { "d [µm]" } th scope="col" { "ρ_s [kg/m³]" }
-                    th scope="col" { "Fr_p" } th scope="col" { "⟨φ⟩" } th scope="col" { "slip/u_t" }
-                } }
-                tbody {
+        (table("The runs", &["run", "d [µm]", "ρ_s [kg/m³]", "Fr_p", "⟨φ⟩", "slip/u_t"], html! {
                     @for (i, folder) in folders.iter().enumerate() {
                         tr {
                             th scope="row" { a href=(format!("#run-{i}")) { (folder.name) } }
@@ -89,9 +82,7 @@ fn several(folders: &[Folder]) -> Markup {
                             td { (joined(folder, |b| Some(measured(b.slip)))) }
                         }
                     }
-                }
-            }
-        }
+                }))
         @for (reference, width) in COMMON_WIDTHS {
             (drawing(
                 &Drawing {
@@ -190,6 +181,20 @@ fn run(folder: &Folder, place: usize, among_several: bool) -> Markup {
     }
 }
 
+/// A table that scrolls by itself where it is wider than the page.
+fn table(label: &str, columns: &[&str], rows: Markup) -> Markup {
+    html! {
+        div.wide tabindex="0" role="region" aria-label=(label) {
+            table {
+                @if !columns.is_empty() {
+                    thead { tr { @for column in columns { th scope="col" { (column) } } } }
+                }
+                tbody { (rows) }
+            }
+        }
+    }
+}
+
 /// What a reader must know before the numbers.
 fn warnings(folder: &Folder) -> Markup {
     html! {
@@ -237,8 +242,7 @@ fn asked(folder: &Folder) -> Markup {
     let powder = |key, factor: f64| number(facts.number("powder", key).map(|x| factor * x));
     let widths = facts.numbers("filter", "widths");
     html! {
-        div.wide tabindex="0" role="region" aria-label="What was asked" {
-            table { tbody {
+        (table("What was asked", &[], html! {
                 tr { th scope="row" { "Powder" } td.text {
                     (powder("diameter", 1e6)) " µm, " (powder("density", 1.0)) " kg/m³, restitution "
                     (powder("restitution", 1.0)) ", packed at " (powder("max_packing", 1.0))
@@ -263,8 +267,7 @@ fn asked(folder: &Folder) -> Markup {
                 tr { th scope="row" { "Filter" } td.text {
                     "widths " (list(widths, 1e2).replace(" × ", ", ")) " cm"
                 } }
-            } }
-        }
+            }))
         @if let Some(case) = &folder.case {
             details { summary { "The case in full (case.toml)" } pre tabindex="0" { (case) } }
         }
@@ -296,19 +299,11 @@ fn published(comparison: &Comparison, all: &[Drawing], place: usize) -> Markup {
                 }
             }
         }
-        div.wide tabindex="0" role="region" aria-label="Scores of closures" {
-            table {
-                thead { tr {
-                    th scope="col" { "closure" } th scope="col" { "R²" } th scope="col" { "RMSE" }
-                    th scope="col" { "bias" } th scope="col" { "bins inside its range" }
-                } }
-                tbody { @for score in &comparison.scores { tr {
+        (table("Scores of closures", &["closure", "R²", "RMSE", "bias", "bins inside its range"], html! { @for score in &comparison.scores { tr {
                     th scope="row" { (score.closure) }
                     td { (digits(score.r_squared)) } td { (digits(score.rmse)) }
                     td { (digits(score.bias)) } td { (score.inside) " of " (score.bins) }
-                } } }
-            }
-        }
+                } } }))
         p.quiet {
             "Against this run's bins, weighted by 1/variance. Published closures were made for other powders, \
              grids and definitions: see " code { "favre models show" } "."
@@ -326,6 +321,11 @@ fn sure(folder: &Folder) -> Markup {
         widths
     };
     let grids = known.iter().any(|row| row.grid_error.is_some());
+    let mut columns =
+        vec!["Δ_f/L_I", "bins", "median error of H", "largest", "median effective samples"];
+    if grids {
+        columns.push("median grid error");
+    }
     let median = |mut all: Vec<f64>| {
         all.sort_by(f64::total_cmp);
         all.get(all.len() / 2).copied()
@@ -338,15 +338,7 @@ fn sure(folder: &Folder) -> Markup {
         @if known.is_empty() {
             p.quiet { "No bin of the drag correction has a standard error." }
         } @else {
-            div.wide tabindex="0" role="region" aria-label="Errors of the drag correction" {
-                table {
-                    thead { tr {
-                        th scope="col" { "Δ_f/L_I" } th scope="col" { "bins" }
-                        th scope="col" { "median error of H" } th scope="col" { "largest" }
-                        th scope="col" { "median effective samples" }
-                        @if grids { th scope="col" { "median grid error" } }
-                    } }
-                    tbody { @for width in widths {
+            (table("Errors of the drag correction", &columns, html! { @for width in widths {
                         @let here: Vec<_> = known.iter().filter(|r| r.filter_width_l_i == width).collect();
                         @let errors: Vec<f64> = here.iter().map(|r| r.standard_error).collect();
                         tr {
@@ -359,9 +351,7 @@ fn sure(folder: &Folder) -> Markup {
                                 td { (number(median(here.iter().filter_map(|r| r.grid_error).collect()))) }
                             }
                         }
-                    } }
-                }
-            }
+                    } }))
             @if known.len() < rows.len() {
                 p.quiet {
                     (rows.len() - known.len()) " further bins have too few independent samples for an error."
@@ -381,20 +371,12 @@ fn boxes(folder: &Folder, all: &[Drawing], place: usize, among_several: bool) ->
     let few = if among_several { FEW } else { usize::MAX };
     html! {
         @if !folder.facts.boxes.is_empty() {
-            div.wide tabindex="0" role="region" aria-label="The boxes" {
-                table {
-                    thead { tr {
-                        th scope="col" { "⟨φ⟩" } th scope="col" { "slip/u_t" } th scope="col" { "uniform" }
-                        th scope="col" { "variance of φ" } th scope="col" { "statistics from [s]" }
-                    } }
-                    tbody { @for b in &folder.facts.boxes { tr {
+            (table("The boxes", &["⟨φ⟩", "slip/u_t", "uniform", "variance of φ", "statistics from [s]"], html! { @for b in &folder.facts.boxes { tr {
                         th scope="row" { (digits(b.solids_fraction)) }
                         td { (measured(b.slip)) } td { (digits(b.uniform_slip)) }
                         td { (measured(b.solids_fraction_variance)) }
                         td { (digits(b.start)) @if !b.steady { " (not steady)" } }
-                    } } }
-                }
-            }
+                    } } }))
         }
         @for one in all.iter().filter(|one| one.name.starts_with("slip_")).take(few) {
             (drawing(one, place))
@@ -417,14 +399,7 @@ fn cost(folder: &Folder) -> Markup {
         return html! { p.quiet { "The run does not say." } };
     }
     html! {
-        div.wide tabindex="0" role="region" aria-label="What it cost" {
-            table {
-                thead { tr {
-                    th scope="col" { "⟨φ⟩" } th scope="col" { "steps" }
-                    th scope="col" { "pressure iterations a step" } th scope="col" { "seconds" }
-                    th scope="col" { "µs per cell and step" }
-                } }
-                tbody { @for b in &folder.facts.boxes {
+        (table("What it cost", &["⟨φ⟩", "steps", "pressure iterations a step", "seconds", "µs per cell and step"], html! { @for b in &folder.facts.boxes {
                     @let steps = b.cost.steps as f64;
                     tr {
                         th scope="row" { (digits(b.solids_fraction)) } td { (b.cost.steps) }
@@ -432,9 +407,7 @@ fn cost(folder: &Folder) -> Markup {
                         td { (digits(b.cost.seconds)) }
                         td { (digits(1e6 * b.cost.seconds / (steps * cells))) }
                     }
-                } }
-            }
-        }
+                } }))
         @if let Some(machine) = &folder.facts.machine {
             p {
                 (digits(machine.seconds)) " s on " (machine.threads) " threads, statistics included ("
@@ -462,18 +435,10 @@ fn source(folder: &Folder) -> Markup {
             p { (file.title) ", from " (file.source.reference) "." }
             @if let Some(fit) = &file.fit {
                 p { code { (fit.formula) } }
-                div.wide tabindex="0" role="region" aria-label="Coefficients" {
-                    table {
-                        thead { tr {
-                            th scope="col" { "coefficient" } th scope="col" { "value" }
-                            th scope="col" { "95 % interval" }
-                        } }
-                        tbody { @for c in &fit.coefficients { tr {
+                (table("Coefficients", &["coefficient", "value", "95 % interval"], html! { @for c in &fit.coefficients { tr {
                             th scope="row" { (c.symbol) } td { (digits(c.value)) }
                             td { (digits(c.low_95)) " to " (digits(c.high_95)) }
-                        } } }
-                    }
-                }
+                        } } }))
             }
             @if !file.notes.is_empty() { ul { @for note in &file.notes { li { (note) } } } }
         }
