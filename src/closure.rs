@@ -1,7 +1,7 @@
 //! [`Closure`]: any closure, published or fitted, as formulae of markers.
 //!
 //! A closure file is data: constants, formulae in the language of [`Expression`], and for each
-//! quantity its markers with their ranges and test vectors. That of a fit ([`Model`]) has besides the
+//! quantity its markers with their ranges and test vectors. That of a fit ([`Model`](crate::model::Model)) has besides the
 //! errors of its coefficients, in `[fit]`. What the crate ships is in [`BUILT_IN`]; a path to a file stands wherever a name does.
 //!
 //! | marker | in formulae | what it is |

@@ -431,7 +431,7 @@ impl Dem {
         sum
     }
 
-    /// Granular temperature T = <m (v - u)²>/(3 <m>), u the mean velocity by mass \[m²/s²\].
+    /// Granular temperature T = ⟨m (v - u)²⟩/(3 ⟨m⟩), u the mean velocity by mass \[m²/s²\].
     pub fn temperature(&self) -> f64 {
         let moving = || self.velocities.iter().filter(|velocity| velocity.0[3] > 0.0);
         let mass: f64 = moving().map(|velocity| 1.0 / velocity.0[3]).sum();

@@ -52,8 +52,9 @@ impl Figure {
     }
 
     /// The figure as SVG to stand in a page, as wide as its place: without a background, in the page's
-    /// colour where it would be black, and with `label` for who cannot see it.
-    pub fn inline(&self, label: &str) -> String {
+    /// colour where it would be black, its identifiers beginning with `id`, and with `label` for who
+    /// cannot see it.
+    pub fn inline(&self, id: &str, label: &str) -> String {
         let svg = self.svg();
         let (_, drawing) = svg.split_once('>').expect("an SVG has a head");
         let ground = r#"<rect width="100%" height="100%" fill="white" />"#;
@@ -62,10 +63,11 @@ impl Figure {
             .replace("\"#000000\"", "\"currentColor\"")
             .replace("\"#cccccc\"", "\"#88888855\"");
         format!(
-            "<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\" fill=\"currentColor\">{drawing}",
+            "<svg viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\" fill=\"currentColor\">{}",
             self.scene.width,
             self.scene.height,
             escaped(label),
+            renumbered(&drawing, &escaped(id)),
         )
     }
 
@@ -79,6 +81,24 @@ impl Figure {
             .render_scene(&self.scene)
             .map_err(|why| FigureError::Raster { why })
     }
+}
+
+/// A drawing whose clip paths are counted from 0 and named after `id`: the plotter counts those of all
+/// figures that it ever drew.
+fn renumbered(drawing: &str, id: &str) -> String {
+    let mut pieces = drawing.split("kuva-clip-");
+    let mut out = pieces.next().unwrap_or_default().to_owned();
+    let mut known: Vec<&str> = Vec::new();
+    for piece in pieces {
+        let digits = piece.find(|c: char| !c.is_ascii_digit()).unwrap_or(piece.len());
+        let (number, rest) = piece.split_at(digits);
+        let place = known.iter().position(|other| *other == number).unwrap_or_else(|| {
+            known.push(number);
+            known.len() - 1
+        });
+        out += &format!("{id}-clip-{place}{rest}");
+    }
+    out
 }
 
 /// Text as it stands in an attribute.

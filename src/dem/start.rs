@@ -155,7 +155,7 @@ pub fn packed(
 }
 
 /// Gives the spheres normally distributed velocities of zero mean by mass and of exactly the granular
-/// `temperature` T = <m v²>/(3 <m>) \[m²/s²\].
+/// `temperature` T = ⟨m v²⟩/(3 ⟨m⟩) \[m²/s²\].
 pub fn thermal(spheres: &mut [Sphere], temperature: f64, seed: u64) {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     // Box and Muller's transform.

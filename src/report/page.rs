@@ -215,13 +215,14 @@ fn drawing(one: &Drawing, place: usize) -> Markup {
     if chart.is_empty() {
         return html! { p.quiet { (caption) " There is nothing to draw: the run has no such numbers." } };
     }
+    let id = format!("{name}-{place}");
     let mut table = Vec::new();
     // A vector takes all that is written to it.
     let csv = chart.write_csv(&mut table).map(|()| STANDARD.encode(&table)).unwrap_or_default();
     html! {
-        figure #(format!("{name}-{place}")) {
+        figure #(id) {
             div.wide tabindex="0" role="group" aria-label=(format!("Figure {name}")) {
-                (PreEscaped(chart.figure().inline(caption)))
+                (PreEscaped(chart.figure().inline(&id, caption)))
             }
             figcaption {
                 (caption) " "
