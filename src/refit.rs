@@ -307,14 +307,16 @@ impl Candidate {
     }
 }
 
-/// 2.5 and 97.5 % quantiles; sorts.
+/// Ends between which 95 % of further values fall; sorts. Of n values the k-th least has a share of
+/// k/(n + 1) of the further ones below it, on average: of few values the quantiles of the sample itself
+/// lie too close together.
 fn ends(values: &mut [f64]) -> [f64; 2] {
     values.sort_by(f64::total_cmp);
+    let last = values.len() - 1;
     let quantile = |share: f64| {
-        let place = share * (values.len() - 1) as f64;
-        let (low, part) = (values[place as usize], place.fract());
-        let high = values[(place.ceil() as usize).min(values.len() - 1)];
-        low + part * (high - low)
+        let place = (share * (values.len() + 1) as f64 - 1.0).clamp(0.0, last as f64);
+        let low = values[place as usize];
+        low + place.fract() * (values[(place as usize + 1).min(last)] - low)
     };
     [quantile(0.025), quantile(0.975)]
 }
@@ -611,6 +613,8 @@ mod tests {
 
     #[test]
     fn intervals_from_replicates_cover() {
+        let mut values: Vec<f64> = (1..=79).rev().map(f64::from).collect();
+        assert_eq!(ends(&mut values), [2.0, 78.0]);
         const SEEDS: u64 = 60;
         let points = [[0.05, 1.0], [0.1, 4.0], [0.3, 2.0], [0.4, 16.0], [0.5, 8.0]];
         let (mut of_form, mut of_surface, mut of_coefficients) = (0, 0, 0);
@@ -636,7 +640,7 @@ mod tests {
         let coefficients = share(of_coefficients, PLANTED.len());
         println!("curve {form:.3}, surface {surface:.3}, coefficients {coefficients:.3}");
         assert!((0.90..=0.99).contains(&form), "{form}");
-        assert!((0.90..=0.99).contains(&coefficients), "{coefficients}");
+        assert!((0.92..=0.98).contains(&coefficients), "{coefficients}");
         assert!((0.85..=1.0).contains(&surface), "{surface}");
     }
 
