@@ -26,7 +26,7 @@ const ALLOWED: &[(&str, &str)] = &[
     ("series", "blocking"),
     ("statistics", "blocking filter filtered fine grid lanes laws moments rows spectral table"),
     ("stored", "filter fine grid laws spectral statistics"),
-    ("expression", ""),
+    ("expression", "real rows"),
     ("resolved", "case expression fine stored"),
     ("binary", ""),
     ("sums", "binary filtered laws spectral statistics"),
