@@ -17,7 +17,8 @@
 //! | | `cells` | cells along each edge | even numbers from 8 | - |
 //! | | `cell` | instead of `cells`: the edge of one cell | a length that divides every edge | - |
 //! | | `solids_fraction` | mean solids fraction, or a list: one box each, pooled | 0 < φ < φ_max | - |
-//! | `[physics]` | `drag` | fine-grid drag law | `"wen-yu"`, `"gidaspow"`, `"beetstra"`, `"tenneti"` | `"wen-yu"` |
+//! | `[physics]` | `solver` | what resolves the clusters: the two-fluid model, or particles in gas, which ask for three dimensions | `"two-fluid"`, `"cfd-dem"` | `"two-fluid"` |
+//! | | `drag` | fine-grid drag law | `"wen-yu"`, `"gidaspow"`, `"beetstra"`, `"tenneti"` | `"wen-yu"` |
 //! | | `radial_distribution` | how much crowding makes particles collide | `"princeton"`, `"carnahan-starling"`, `"ma-ahmadi"` | `"princeton"` |
 //! | | `friction` | pressure of enduring contacts, and their viscosity if the law has one | `"barrier"`, `"none"`, `"schaeffer"`, `"johnson-jackson"`, `"srivastava-sundaresan"` | `"barrier"` |
 //! | | `granular_energy` | how the granular temperature is found | `"transport"`, `"algebraic"` | `"transport"` |
@@ -26,6 +27,14 @@
 //! | | `drive` | what carries the weight: a mean gas pressure gradient that balances it, or one that keeps the gas flux, as in [`Drive`] | `"pressure-gradient"`, `"gas-flux"` | `"pressure-gradient"` |
 //! | | `gas_flux` | with `"gas-flux"`: superficial gas velocity relative to the solids | 0.001 u_t to 1000 u_t | that of the uniform state |
 //! | | `gravity` | g [m/s²] | 1e-3 to 1e4 | 9.81 |
+//! | `[particles]` | `overlap` | with `"cfd-dem"`: deepest overlap, in d, of two particles that meet at u_t; sets the stiffness | 1e-4 to 0.05 | 0.01 |
+//! | | `stiffness` | instead: the spring's, k_n [N/m] | above 0 | - |
+//! | | `tangential_stiffness` | k_t/k_n | 0 to 1 | 2/7 |
+//! | | `tangential_damping` | γ_t/γ_n | 0 to 1 | 0.5 |
+//! | | `friction_coefficient` | Coulomb's, of two particles | 0 to 10 | 0.3 |
+//! | | `steps_per_contact` | time steps in a contact, at least | 20 to 1000 | 25 |
+//! | | `mapping` | how a particle is shared among cells | `"trilinear"`, `"divided"` | `"trilinear"` |
+//! | | `smoothing` | standard deviation of the Gaussian that it is spread to afterwards | 0 or a length up to a quarter of the box | 0 |
 //! | `[filter]` | `widths` | edges of the box filters | whole cells along every axis, from 2 cells to half the box | 4, 8, 16 and 32 cells as far as they fit |
 //! | | `kernel` | the filter's kernel | `"box"`, `"gaussian"`, `"diffusion"`, `"sharp"` | `"box"` |
 //! | | `markers` | what results are binned by | `"solids_fraction"`, and up to two of `"slip"`, `"slip_speed"`, `"pressure_gradient"`, `"shear_rate"`, `"solids_fraction_gradient"`, `"solids_fraction_variance"` | `["solids_fraction"]` |
@@ -52,6 +61,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
+use crate::laws::contact::Contact;
 use crate::laws::drag::DragLaw;
 use crate::laws::scales::{Gas, Powder, Scales};
 pub use file::Problem;
@@ -77,6 +87,8 @@ pub struct Case {
     pub domain: Domain,
     /// `[physics]`.
     pub physics: Physics,
+    /// `[particles]`, of a case that follows them: `solver = "cfd-dem"`.
+    pub particles: Option<ParticlesCase>,
     /// `[filter]`.
     pub filter: FilterCase,
     /// `[run]`.
@@ -111,6 +123,39 @@ pub struct Physics {
     pub drive: Drive,
     /// `gravity` [m/s²], a positive number.
     pub gravity: f64,
+}
+
+/// What resolves the clusters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SolverChoice {
+    /// [`TwoFluid`](crate::two_fluid::TwoFluid).
+    TwoFluid,
+    /// [`CfdDem`](crate::cfd_dem::CfdDem).
+    CfdDem,
+}
+
+/// `[particles]`: what two particles do that touch, and how gas and particles see each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ParticlesCase {
+    /// The contact law, its restitution the powder's.
+    pub contact: Contact,
+    /// Time steps in a contact, at least.
+    pub steps_per_contact: f64,
+    /// How a particle is shared among cells.
+    pub mapping: MappingChoice,
+    /// Standard deviation of the Gaussian that it is spread to afterwards \[m\]; 0 for none.
+    pub smoothing: f64,
+}
+
+/// How a particle is shared among cells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MappingChoice {
+    /// By the distance of its centre from those of the cells, among the eight nearest.
+    Trilinear,
+    /// By what of the cube of its volume lies in each.
+    Divided,
 }
 
 /// What carries the weight. The mixture as a whole is at rest: a gradient that does not balance its
@@ -656,12 +701,55 @@ impl Case {
 
     /// The case as a case file with every key, in SI; [`Case::parse`] reads an equal case from it.
     pub fn to_toml(&self) -> String {
-        let Self { name: _, powder, gas, domain, physics, filter, run, output } = self;
+        let Self { name: _, powder, gas, domain, physics, particles, filter, run, output } = self;
         // No number stands for the flux of the uniform state, which is each box's own.
         let (drive, gas_flux) = match physics.drive {
             Drive::PressureGradient => (DriveChoice::PressureGradient, String::new()),
             Drive::GasFlux(None) => (DriveChoice::GasFlux, String::new()),
             Drive::GasFlux(Some(flux)) => (DriveChoice::GasFlux, format!("gas_flux = {flux:?}\n")),
+        };
+        // What belongs to one of the solvers alone.
+        let (continuum, numerics, discrete) = match particles {
+            None => (
+                format!(
+                    "radial_distribution = {}\n\
+                     friction = {}\n\
+                     granular_energy = {}\n\
+                     gas_stress = {}\n",
+                    quoted(&physics.radial_distribution),
+                    quoted(&physics.friction),
+                    quoted(&physics.terms.granular_energy),
+                    physics.terms.gas_stress,
+                ),
+                format!(
+                    "perturbation = {:?}\n\
+                     precision = {}\n\
+                     time_order = {}\n",
+                    run.perturbation,
+                    quoted(&run.precision),
+                    run.time_order,
+                ),
+                String::new(),
+            ),
+            Some(ParticlesCase { contact, steps_per_contact, mapping, smoothing }) => (
+                String::new(),
+                String::new(),
+                format!(
+                    "\n[particles]\n\
+                     stiffness = {:?}\n\
+                     tangential_stiffness = {:?}\n\
+                     tangential_damping = {:?}\n\
+                     friction_coefficient = {:?}\n\
+                     steps_per_contact = {steps_per_contact:?}\n\
+                     mapping = {}\n\
+                     smoothing = {smoothing:?}\n",
+                    contact.stiffness,
+                    contact.tangential_stiffness,
+                    contact.tangential_damping,
+                    contact.friction,
+                    quoted(mapping),
+                ),
+            ),
         };
         format!(
             "[powder]\n\
@@ -677,14 +765,13 @@ impl Case {
              cells = {:?}\n\
              solids_fraction = {:?}\n\
              \n[physics]\n\
+             solver = {}\n\
              drag = {}\n\
-             radial_distribution = {}\n\
-             friction = {}\n\
-             granular_energy = {}\n\
+             {continuum}\
              gas_inertia = {}\n\
-             gas_stress = {}\n\
              drive = {}\n\
              {}gravity = {:?}\n\
+             {discrete}\
              \n[filter]\n\
              widths = {:?}\n\
              kernel = {}\n\
@@ -696,9 +783,7 @@ impl Case {
              duration = {:?}\n\
              sample_interval = {:?}\n\
              seed = {}\n\
-             perturbation = {:?}\n\
-             precision = {}\n\
-             time_order = {}\n\
+             {numerics}\
              \n[output]\n\
              fields = {}\n\
              fields_interval = {:?}\n",
@@ -711,12 +796,13 @@ impl Case {
             domain.size,
             domain.cells,
             domain.solids_fractions,
+            quoted(&if particles.is_some() {
+                SolverChoice::CfdDem
+            } else {
+                SolverChoice::TwoFluid
+            }),
             quoted(&physics.drag),
-            quoted(&physics.radial_distribution),
-            quoted(&physics.friction),
-            quoted(&physics.terms.granular_energy),
             physics.terms.gas_inertia,
-            physics.terms.gas_stress,
             quoted(&drive),
             gas_flux,
             physics.gravity,
@@ -729,9 +815,6 @@ impl Case {
             run.duration,
             run.sample_interval,
             run.seed,
-            run.perturbation,
-            quoted(&run.precision),
-            run.time_order,
             quoted(&output.fields),
             output.fields_interval,
         )

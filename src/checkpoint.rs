@@ -593,7 +593,7 @@ mod tests {
     use super::*;
     use crate::binary::{CHECKSUM, Crc};
     use crate::real::Real;
-    use crate::simulate::{SimulateError, Simulated, simulate_from};
+    use crate::simulate::{SimulateError, Simulated, simulate_from, two_fluid};
     use crate::two_fluid::StateError;
     use std::cell::Cell;
 
@@ -618,7 +618,8 @@ mod tests {
     }
 
     fn whole<R: Real, const D: usize>(case: &Case) -> Simulated {
-        simulate_from::<R, D>(
+        simulate_from(
+            two_fluid::<R, D>(case, PHI, false),
             case,
             PHI,
             false,
@@ -647,7 +648,8 @@ mod tests {
             sampled.get() >= samples || (done >= steps && sampled.get() > 0)
         };
         let mut keeper = checkpoints.keeper(PHI);
-        simulate_from::<R, D>(
+        simulate_from(
+            two_fluid::<R, D>(case, PHI, false),
             case,
             PHI,
             false,
@@ -887,9 +889,14 @@ mod tests {
                 Err(other) => panic!("{at} bytes: {other:?}"),
                 Ok(_) => {
                     let refused = piece::<f32, 2>(&case, &checkpoints, 20, usize::MAX);
-                    let Err(SimulateError::State(StateError::Read(_))) = refused else {
+                    let Err(SimulateError::State(failure)) = refused else {
                         panic!("{at} bytes: {refused:?}")
                     };
+                    let failure = failure.downcast_ref();
+                    assert!(
+                        matches!(failure, Some(StateError::Read(_))),
+                        "{at} bytes: {failure:?}"
+                    );
                 }
             }
         }

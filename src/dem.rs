@@ -196,6 +196,17 @@ impl Energy {
     }
 }
 
+/// A contact in a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Seen {
+    /// The middle between the centres \[m\], and half their distance \[m\].
+    pub place: Quad,
+    /// Way from the centre of the second sphere to that of the first \[m\].
+    pub arm: [f64; 3],
+    /// Force on the first \[N\]; on the second acts its opposite.
+    pub force: [f64; 3],
+}
+
 /// Spheres in a periodic box.
 #[derive(Clone, Debug)]
 pub struct Dem {
@@ -285,7 +296,7 @@ impl Dem {
             setup,
         };
         dem.rebuild();
-        dem.contacts();
+        dem.contacts::<false>();
         Ok(dem)
     }
 
@@ -295,6 +306,18 @@ impl Dem {
     /// Spheres that overlap too deeply or move too far in a step, named with the remedy. The state is
     /// then that of the failed step, for a look at it; it cannot be gone on from.
     pub fn run(&mut self, steps: u64) -> Result<(), StepError> {
+        self.advance::<false>(steps)
+    }
+
+    /// Makes a step and leaves its contacts to be seen, until the next.
+    ///
+    /// # Errors
+    /// As [`Dem::run`].
+    pub fn run_seen(&mut self) -> Result<(), StepError> {
+        self.advance::<true>(1)
+    }
+
+    fn advance<const SEEN: bool>(&mut self, steps: u64) -> Result<(), StepError> {
         for step in 0..steps {
             let kicks = if step == 0 { 1 } else { 2 };
             let fastest = self.kick_and_drift(kicks);
@@ -310,7 +333,7 @@ impl Dem {
             } else if 2.0 * self.travelled[1] > self.cells.near {
                 self.list_near();
             }
-            let deepest = self.contacts();
+            let deepest = self.contacts::<SEEN>();
             if deepest > self.deepest {
                 let (most, time) = (self.deepest, self.time);
                 return Err(StepError::Overlap { share: deepest, most, time });
@@ -389,6 +412,16 @@ impl Dem {
     pub fn drives_mut(&mut self) -> &mut [Quad] {
         self.drives.resize(self.ids.len(), Quad::default());
         &mut self.drives
+    }
+
+    /// [`Dem::drives_mut`], to be looked at; empty if there never were any.
+    pub fn drives(&self) -> &[Quad] {
+        &self.drives
+    }
+
+    /// The contacts of the last step, if [`Dem::run_seen`] made it.
+    pub fn seen(&self) -> impl Iterator<Item = &Seen> {
+        self.slabs.iter().flat_map(|slab| &slab.seen)
     }
 
     /// Pairs of spheres that touch.

@@ -12,8 +12,10 @@ pub mod real;
 pub mod rows;
 pub mod stencil;
 
+pub mod cfd_dem;
 pub mod dem;
 pub mod laws;
+pub mod simulation;
 pub mod two_fluid;
 
 pub mod exponents;

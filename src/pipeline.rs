@@ -24,7 +24,9 @@ use crate::report::{Folder, REPORT_FILE, ReportError, page};
 use crate::resolved::ResolvedError;
 use crate::resolved::series::SeriesError;
 use crate::resolved::write::{RecordError, Recorder};
-use crate::simulate::{Signals, SimulateError, Simulated, Underway, simulate_from};
+use crate::simulate::{
+    Signals, SimulateError, Simulated, Underway, cfd_dem, simulate_from, two_fluid,
+};
 use crate::stability::{self, Stability, StabilityError};
 use crate::statistics::{MergeError, Sums, bin_table};
 use crate::stored::StoredError;
@@ -343,7 +345,7 @@ fn simulate_boxes(
     }
 }
 
-/// Simulates one box, or what is left of it: the one place that picks precision and dimension. Why
+/// Simulates one box, or what is left of it: the one place that picks solver, precision and dimension. Why
 /// it could not be kept is left in `lost`.
 fn simulate_box(
     case: &Case,
@@ -371,22 +373,21 @@ fn simulate_box(
         recorder.begin(kept.as_ref().map_or(0, |kept| kept.signals.time.len() as u64 - 1))?;
     }
     macro_rules! simulate {
-        ($real:ty, $dimension:literal) => {{
+        ($flow:expr, $dimension:literal) => {{
             let record = |sample, fine: &FineFields<$dimension>, signals: &Signals| match &recorder
             {
                 Some(recorder) => Ok(recorder.record(sample, fine, |n| signals.values(n))?),
                 None => Ok(()),
             };
-            simulate_from::<$real, $dimension>(
-                case, fraction, parallel, stop, watch, kept, keep, record,
-            )
+            simulate_from($flow, case, fraction, parallel, stop, watch, kept, keep, record)
         }};
     }
     let result = match (case.run.precision, case.domain.size.len()) {
-        (Precision::Double, 2) => simulate!(f64, 2),
-        (Precision::Double, _) => simulate!(f64, 3),
-        (Precision::Single, 2) => simulate!(f32, 2),
-        (Precision::Single, _) => simulate!(f32, 3),
+        _ if case.particles.is_some() => simulate!(cfd_dem(case, fraction, parallel)?, 3),
+        (Precision::Double, 2) => simulate!(two_fluid::<f64, 2>(case, fraction, parallel), 2),
+        (Precision::Double, _) => simulate!(two_fluid::<f64, 3>(case, fraction, parallel), 3),
+        (Precision::Single, 2) => simulate!(two_fluid::<f32, 2>(case, fraction, parallel), 2),
+        (Precision::Single, _) => simulate!(two_fluid::<f32, 3>(case, fraction, parallel), 3),
     };
     bar.finish();
     Ok(result?)

@@ -1,16 +1,18 @@
 //! [`simulate`]: one box from its start to its end, sampled in flight.
 
 use crate::case::{Case, Drive, EdgesChoice, FilterCase, KernelChoice, MarkerChoice};
+use crate::cfd_dem::{self, CfdDem};
 use crate::filter::FilterError;
 use crate::fine::FineFields;
 use crate::grid::Grid;
 use crate::laws::scales::Scales;
 use crate::real::Real;
 use crate::series::{Onset, steady_start};
+use crate::simulation::{Failure, Limit, Means, Simulation, StepReport};
 use crate::spectral::Kernel;
 use crate::statistics::{Axis, Bins, Marker, MergeError, Sampler, Sampling, Sums};
 use crate::stored::StoredSampling;
-use crate::two_fluid::{Limit, Means, Setup, StateError, StepError, StepReport, TwoFluid};
+use crate::two_fluid::{Setup, TwoFluid};
 use std::io::{self, Read, Write};
 
 /// Sampling intervals in a block of time, the smallest unit of the error estimate.
@@ -145,7 +147,15 @@ pub enum SimulateError {
         /// Mean solids fraction of the box.
         solids_fraction: f64,
         /// The step.
-        source: StepError,
+        source: Failure,
+    },
+    /// A box cannot be set up.
+    #[error("the box of mean solids fraction {solids_fraction} cannot be simulated")]
+    Setup {
+        /// Mean solids fraction of the box.
+        solids_fraction: f64,
+        /// Why.
+        source: Failure,
     },
     /// A filter does not fit the box.
     #[error(transparent)]
@@ -160,7 +170,7 @@ pub enum SimulateError {
     },
     /// The fields that were kept are not of this box.
     #[error("what was kept of the box does not fit it")]
-    State(#[from] StateError),
+    State(#[source] Failure),
     /// The sums that were kept are not of this box.
     #[error("what was kept of the box does not fit it")]
     Sums(#[from] MergeError),
@@ -176,7 +186,7 @@ pub struct Underway<'a> {
     pub cost: Cost,
     /// Sums of the samples so far.
     pub sums: &'a Sums,
-    /// Writes [`TwoFluid::save_state`].
+    /// Writes [`Simulation::save_state`].
     pub write_flow: &'a dyn Fn(&mut dyn Write) -> io::Result<()>,
 }
 
@@ -298,16 +308,69 @@ pub fn stored_sampling(case: &Case, parallel: bool) -> StoredSampling {
     }
 }
 
-/// Simulates the box of mean solids fraction `solids_fraction`, filtering as it goes. `parallel`
-/// lets a step use the threads of the current pool. `watch` is called after each sample with the
-/// signals so far and the number of steps that this call has done.
-///
-/// # Errors
-/// `stop` said so, a step failed, or a filter does not fit.
+/// The two-fluid model that `case` asks for, in its box of mean solids fraction `solids_fraction`; `parallel`
+/// lets a step use the threads of the current pool.
 ///
 /// # Panics
 /// When the case's dimension is not `D`.
-pub fn simulate<R: Real, const D: usize>(
+pub fn two_fluid<R: Real, const D: usize>(
+    case: &Case,
+    solids_fraction: f64,
+    parallel: bool,
+) -> TwoFluid<R, D> {
+    let flow = TwoFluid::<R, D>::new(grid(case), setup(case, solids_fraction, parallel));
+    let flow = match case.physics.drive {
+        Drive::GasFlux(gas_flux) => flow.with_gas_flux(gas_flux),
+        Drive::PressureGradient => flow,
+    };
+    if case.run.time_order == 2 { flow.with_second_order() } else { flow }
+}
+
+/// The particles in gas that `case` asks for, likewise.
+///
+/// # Errors
+/// They cannot be placed or simulated.
+///
+/// # Panics
+/// When the case has no `particles`, or is not of three dimensions.
+pub fn cfd_dem(case: &Case, solids_fraction: f64, parallel: bool) -> Result<CfdDem, SimulateError> {
+    let particles = case.particles.expect("a case that follows particles");
+    let setup = cfd_dem::Setup {
+        powder: case.powder,
+        gas: case.gas,
+        gravity: case.physics.gravity,
+        drag: case.physics.drag,
+        gas_inertia: case.physics.terms.gas_inertia,
+        solids_fraction,
+        contact: particles.contact,
+        steps_per_contact: particles.steps_per_contact,
+        mapping: particles.mapping,
+        smoothing: particles.smoothing,
+        rhythm: case.run.sample_interval,
+        seed: case.run.seed,
+        parallel,
+    };
+    CfdDem::new(grid(case), setup)
+        .map_err(|source| SimulateError::Setup { solids_fraction, source: source.into() })
+}
+
+/// The grid of a case's boxes.
+fn grid<const D: usize>(case: &Case) -> Grid<D> {
+    assert_eq!(case.domain.size.len(), D, "a case of another dimension");
+    Grid::new(
+        std::array::from_fn(|axis| case.domain.size[axis]),
+        std::array::from_fn(|axis| case.domain.cells[axis]),
+    )
+}
+
+/// Simulates a box of `case`, filtering as it goes: `flow`, whose mean solids fraction is
+/// `solids_fraction`. `watch` is called after each sample with the signals so far and the number of
+/// steps that this call has done.
+///
+/// # Errors
+/// `stop` said so, a step failed, or a filter does not fit.
+pub fn simulate<const D: usize>(
+    flow: impl Simulation<D>,
     case: &Case,
     solids_fraction: f64,
     parallel: bool,
@@ -315,7 +378,7 @@ pub fn simulate<R: Real, const D: usize>(
     watch: impl FnMut(&Signals, Pace),
 ) -> Result<Simulated, SimulateError> {
     let record = |_: u64, _: &FineFields<D>, _: &Signals| Ok(());
-    simulate_from::<R, D>(case, solids_fraction, parallel, stop, watch, None, |_, _| {}, record)
+    simulate_from(flow, case, solids_fraction, parallel, stop, watch, None, |_, _| {}, record)
 }
 
 /// Why fields could not be recorded.
@@ -328,11 +391,9 @@ pub type RecordError = Box<dyn std::error::Error + Send + Sync>;
 ///
 /// # Errors
 /// As [`simulate`], or what was kept is of another box, or `record` says so.
-///
-/// # Panics
-/// When the case's dimension is not `D`.
 #[allow(clippy::too_many_arguments)]
-pub fn simulate_from<R: Real, const D: usize>(
+pub fn simulate_from<const D: usize>(
+    mut flow: impl Simulation<D>,
     case: &Case,
     solids_fraction: f64,
     parallel: bool,
@@ -343,20 +404,9 @@ pub fn simulate_from<R: Real, const D: usize>(
     mut record: impl FnMut(u64, &FineFields<D>, &Signals) -> Result<(), RecordError>,
 ) -> Result<Simulated, SimulateError> {
     let begin = std::time::Instant::now();
-    let Case { powder, gas, domain, physics, run, .. } = case;
-    let grid = Grid::new(
-        std::array::from_fn::<_, D, _>(|axis| domain.size[axis]),
-        std::array::from_fn(|axis| domain.cells[axis]),
-    );
-    assert_eq!(domain.size.len(), D, "a case of another dimension");
+    let Case { powder, gas, physics, run, .. } = case;
+    let grid = grid::<D>(case);
     let scales = Scales::new(powder, gas, physics.gravity);
-    let mut flow = TwoFluid::<R, D>::new(grid, setup(case, solids_fraction, parallel));
-    if let Drive::GasFlux(gas_flux) = physics.drive {
-        flow = flow.with_gas_flux(gas_flux);
-    }
-    if case.run.time_order == 2 {
-        flow = flow.with_second_order();
-    }
     let law = physics.drag.law(gas, powder);
     let sampling = sampling(case, parallel);
     let mut sampler = Sampler::new(grid, law, sampling)?;
@@ -366,7 +416,7 @@ pub fn simulate_from<R: Real, const D: usize>(
     let (mut signals, mut cost) = (Signals::default(), Cost::default());
     signals.push(0.0, &start);
     if let Some(mut kept) = kept {
-        flow.restore_state(&mut kept.flow)?;
+        flow.restore_state(&mut kept.flow).map_err(SimulateError::State)?;
         sampler.resume(kept.sums)?;
         (signals, cost) = (kept.signals, kept.cost);
         // For the picture of a box that is at its end already; else the next sample overwrites it.
@@ -374,7 +424,7 @@ pub fn simulate_from<R: Real, const D: usize>(
     }
     let before = cost;
     let seconds = || before.seconds + begin.elapsed().as_secs_f64();
-    let mut keep = |moment, flow: &TwoFluid<R, D>, signals: &_, cost, sums: &_| {
+    let mut keep = |moment, flow: &dyn Simulation<D>, signals: &_, cost, sums: &_| {
         let cost = Cost { seconds: seconds(), ..cost };
         let write_flow = &|to: &mut dyn Write| flow.save_state(to);
         keep(moment, &Underway { time: flow.time(), signals, cost, sums, write_flow });

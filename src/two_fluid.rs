@@ -39,12 +39,15 @@ use crate::case::{
     with_friction, with_radial_distribution,
 };
 use crate::field::{Faces, Field, Layout};
+use crate::fine::FineFields;
 use crate::grid::Grid;
 use crate::laws::kinetic_theory::KineticTheory;
 use crate::laws::scales::{Gas, Powder, Scales, homogeneous_slip};
 use crate::poisson::Poisson;
 use crate::real::Real;
 use crate::rows::{Rows, join, per_axis, threads};
+use crate::simulation::{Failure, Simulation};
+pub use crate::simulation::{Limit, Means, StepReport};
 pub use clock::STAGES;
 use clock::{Clock, Stage};
 use drive::GasFlux;
@@ -56,6 +59,7 @@ pub use imposed::Quantity;
 use imposed::Sources;
 use rand::{RngExt, SeedableRng};
 pub use state::StateError;
+use std::io::{self, Read, Write};
 use sweep::{After, Before, Fastest, Sweep, both_faces};
 
 /// Solids fraction added to the solids' inertia (not to their weight or volume), so that velocity
@@ -167,71 +171,6 @@ pub struct Setup {
     pub seed: u64,
     /// Whether a step may use the threads of the current pool.
     pub parallel: bool,
-}
-
-/// What limited a time step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Limit {
-    /// The growth from the step before.
-    Growth,
-    /// Advection by the solids.
-    Solids,
-    /// Advection by the gas.
-    Gas,
-    /// The solids' speed of sound.
-    Sound,
-    /// The longest step allowed.
-    Longest,
-    /// Viscosity or conductivity of the solids, or viscosity of the gas.
-    Diffusion,
-    /// The room left in cells that the solids fill.
-    Packing,
-}
-
-impl Limit {
-    /// All, in the order of their numbers (`limit as usize`).
-    pub const ALL: [Self; 7] = [
-        Self::Growth,
-        Self::Solids,
-        Self::Gas,
-        Self::Sound,
-        Self::Longest,
-        Self::Diffusion,
-        Self::Packing,
-    ];
-}
-
-/// How a step went.
-#[derive(Clone, Copy, Debug)]
-pub struct StepReport {
-    /// Its length \[s\].
-    pub dt: f64,
-    /// What limited it.
-    pub limit: Limit,
-    /// Sub-steps of the gas's momentum transport; 0 if it is left out.
-    pub gas_steps: usize,
-    /// Pressure iterations.
-    pub iterations: usize,
-    /// Volume that the pressure left unaccounted for: largest |∇·(φ u_s + (1-φ) u_g)| dt \[-\].
-    pub volume_residual: f64,
-}
-
-/// Means over the box at one instant.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Means<const D: usize> {
-    /// ⟨(1-φ) u_g⟩/⟨1-φ⟩ - ⟨φ u_s⟩/⟨φ⟩, vertical \[m/s\].
-    pub slip: f64,
-    /// ⟨φ (u_g - u_s)⟩/⟨φ⟩, vertical: the slip that the particles see \[m/s\].
-    pub particle_slip: f64,
-    /// ⟨φ⟩ \[-\].
-    pub solids_fraction: f64,
-    /// ⟨φ²⟩ - ⟨φ⟩² \[-\].
-    pub solids_fraction_variance: f64,
-    /// Momentum of the mixture per volume, ghost mass included \[kg/m²/s\].
-    pub momentum: [f64; D],
-    /// Mean gas pressure gradient, upwards, over the weight of the mixture \[-\].
-    pub pressure_gradient: f64,
 }
 
 /// The kinetic-theory two-fluid model, in a periodic box of `D` dimensions.
@@ -671,6 +610,30 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             momentum,
             pressure_gradient: self.pressure_gradient(),
         }
+    }
+}
+
+impl<R: Real, const D: usize> Simulation<D> for TwoFluid<R, D> {
+    fn step(&mut self, until: f64) -> Result<StepReport, Failure> {
+        Ok(self.step(until)?)
+    }
+    fn time(&self) -> f64 {
+        self.time
+    }
+    fn means(&self) -> Means<D> {
+        self.means()
+    }
+    fn fields(&self, fine: &mut FineFields<D>) {
+        self.fields(fine);
+    }
+    fn uniform_slip(&self) -> f64 {
+        self.uniform_slip()
+    }
+    fn save_state(&self, to: &mut dyn Write) -> io::Result<()> {
+        self.save_state(to)
+    }
+    fn restore_state(&mut self, from: &mut dyn Read) -> Result<(), Failure> {
+        Ok(self.restore_state(from)?)
     }
 }
 

@@ -15,18 +15,20 @@ use toml::de::{DeString, DeTable, DeValue};
 
 use super::{
     DragChoice, DriveChoice, EDGE_KEYS, EdgesChoice, FieldsChoice, FrictionChoice,
-    GranularEnergyChoice, KernelChoice, MarkerChoice, Precision, RadialDistributionChoice,
+    GranularEnergyChoice, KernelChoice, MappingChoice, MarkerChoice, Precision,
+    RadialDistributionChoice, SolverChoice,
 };
 use crate::laws::scales::{REFERENCE_LENGTHS, Scales};
 
 /// Every section and its keys.
-pub(super) const SECTIONS: [(&str, &[&str]); 7] = [
+pub(super) const SECTIONS: [(&str, &[&str]); 8] = [
     ("powder", &["diameter", "density", "restitution", "max_packing"]),
     ("gas", &["density", "viscosity"]),
     ("box", &["size", "cells", "cell", "solids_fraction"]),
     (
         "physics",
         &[
+            "solver",
             "drag",
             "radial_distribution",
             "friction",
@@ -36,6 +38,19 @@ pub(super) const SECTIONS: [(&str, &[&str]); 7] = [
             "drive",
             "gas_flux",
             "gravity",
+        ],
+    ),
+    (
+        "particles",
+        &[
+            "overlap",
+            "stiffness",
+            "tangential_stiffness",
+            "tangential_damping",
+            "friction_coefficient",
+            "steps_per_contact",
+            "mapping",
+            "smoothing",
         ],
     ),
     (
@@ -327,6 +342,7 @@ pub(super) struct CaseFile {
     pub gas: GasFile,
     pub domain: DomainFile,
     pub physics: PhysicsFile,
+    pub particles: ParticlesFile,
     pub filter: FilterFile,
     pub run: RunFile,
     pub output: OutputFile,
@@ -356,6 +372,7 @@ pub(super) struct DomainFile {
 
 #[derive(Debug)]
 pub(super) struct PhysicsFile {
+    pub solver: Option<Typed<SolverChoice>>,
     pub drag: Option<Typed<DragChoice>>,
     pub radial_distribution: Option<Typed<RadialDistributionChoice>>,
     pub friction: Option<Typed<FrictionChoice>>,
@@ -365,6 +382,20 @@ pub(super) struct PhysicsFile {
     pub drive: Option<Typed<DriveChoice>>,
     pub gas_flux: Option<Typed<Quantity>>,
     pub gravity: Option<Typed<f64>>,
+}
+
+#[derive(Debug)]
+pub(super) struct ParticlesFile {
+    /// The section, if there is one.
+    pub header: Option<Typed<()>>,
+    pub overlap: Option<Typed<f64>>,
+    pub stiffness: Option<Typed<f64>>,
+    pub tangential_stiffness: Option<Typed<f64>>,
+    pub tangential_damping: Option<Typed<f64>>,
+    pub friction_coefficient: Option<Typed<f64>>,
+    pub steps_per_contact: Option<Typed<f64>>,
+    pub mapping: Option<Typed<MappingChoice>>,
+    pub smoothing: Option<Typed<Quantity>>,
 }
 
 #[derive(Debug)]
@@ -467,6 +498,7 @@ pub(super) fn read(text: &str, problems: &mut Problems<'_>) -> Option<CaseFile> 
     let physics = {
         let mut section = Section::new(&root, "physics", false, problems);
         PhysicsFile {
+            solver: section.optional("solver", choice),
             drag: section.optional("drag", choice),
             radial_distribution: section.optional("radial_distribution", choice),
             friction: section.optional("friction", choice),
@@ -476,6 +508,26 @@ pub(super) fn read(text: &str, problems: &mut Problems<'_>) -> Option<CaseFile> 
             drive: section.optional("drive", choice),
             gas_flux: section.optional("gas_flux", |value| quantity(value, Kind::Velocity)),
             gravity: section.optional("gravity", number),
+        }
+    };
+    let particles = {
+        let mut section = Section::new(&root, "particles", false, problems);
+        let header = section.table.as_ref().map(|(_, header)| Typed {
+            section: "",
+            key: "particles",
+            span: header.clone(),
+            value: (),
+        });
+        ParticlesFile {
+            header,
+            overlap: section.optional("overlap", number),
+            stiffness: section.optional("stiffness", number),
+            tangential_stiffness: section.optional("tangential_stiffness", number),
+            tangential_damping: section.optional("tangential_damping", number),
+            friction_coefficient: section.optional("friction_coefficient", number),
+            steps_per_contact: section.optional("steps_per_contact", number),
+            mapping: section.optional("mapping", choice),
+            smoothing: section.optional("smoothing", |value| quantity(value, Kind::Length)),
         }
     };
     let filter = {
@@ -514,7 +566,7 @@ pub(super) fn read(text: &str, problems: &mut Problems<'_>) -> Option<CaseFile> 
                 .optional("fields_interval", |value| quantity(value, Kind::Time)),
         }
     };
-    Some(CaseFile { powder, gas, domain, physics, filter, run, output })
+    Some(CaseFile { powder, gas, domain, physics, particles, filter, run, output })
 }
 
 /// A TOML value and where it stands.

@@ -10,10 +10,12 @@ use super::file::{
 };
 use super::{
     Case, Domain, DragChoice, Drive, DriveChoice, EdgesChoice, FieldsChoice, FilterCase,
-    FrictionChoice, KernelChoice, MarkerChoice, OutputCase, Physics, Precision,
-    RadialDistributionChoice, RunCase, Terms, quoted,
+    FrictionChoice, KernelChoice, MappingChoice, MarkerChoice, OutputCase, ParticlesCase, Physics,
+    Precision, RadialDistributionChoice, RunCase, SolverChoice, Terms, quoted,
 };
+use crate::laws::contact::{Contact, stiffness_for};
 use crate::laws::scales::{Gas, Powder, Scales};
+use std::f64::consts::PI;
 
 /// Fewest cells along an edge: the smallest grid on which a filter of four cells is at most half
 /// the box.
@@ -100,6 +102,24 @@ pub(super) fn resolve(
     let filter =
         resolve_filter(&file.filter, domain.as_ref(), scales.as_ref(), max_packing, problems);
     let run = resolve_run(&file.run, scales.as_ref(), perturbation, problems);
+    let solver = file.physics.solver.as_ref().map_or(SolverChoice::TwoFluid, |typed| typed.value);
+    let particles = match (solver, &powder) {
+        (SolverChoice::TwoFluid, _) => {
+            if let Some(header) = &file.particles.header {
+                problems.refuse(
+                    header,
+                    "particles are followed with [physics] solver = \"cfd-dem\" only: give that too, or \
+                     leave the section out",
+                );
+            }
+            None
+        }
+        (SolverChoice::CfdDem, Some(powder)) => {
+            refuse_continuum(file, problems);
+            Some(resolve_particles(file, powder, domain.as_ref(), scales.as_ref(), problems)?)
+        }
+        (SolverChoice::CfdDem, None) => None,
+    };
     let output = resolve_output(&file.output, scales.as_ref(), run.as_ref(), problems);
     let drive = resolve_drive(file, scales.as_ref(), problems);
     let (size, cells) = domain?;
@@ -124,9 +144,136 @@ pub(super) fn resolve(
             drive: drive?,
             gravity: gravity?,
         },
+        particles,
         filter: filter?,
         run: run?,
         output: output?,
+    })
+}
+
+/// Refuses what a case says of the two-fluid model only.
+fn refuse_continuum(file: &CaseFile, problems: &mut Problems<'_>) {
+    const WHY: &str = "this is of the two-fluid model: with solver = \"cfd-dem\" leave it out";
+    macro_rules! refuse {
+        ($($typed:expr),*) => {
+            $(if let Some(typed) = &$typed {
+                problems.refuse(typed, WHY);
+            })*
+        };
+    }
+    let (physics, run) = (&file.physics, &file.run);
+    refuse!(
+        physics.radial_distribution,
+        physics.friction,
+        physics.granular_energy,
+        physics.gas_stress,
+        physics.gas_flux,
+        run.perturbation,
+        run.precision,
+        run.time_order
+    );
+    if let Some(typed) = &physics.drive
+        && typed.value != DriveChoice::PressureGradient
+    {
+        problems.refuse(typed, "with solver = \"cfd-dem\" only \"pressure-gradient\" is accepted");
+    }
+}
+
+/// Overlap of two particles that meet at u_t, in d, that sets the stiffness of a case that says none.
+const OVERLAP: f64 = 0.01;
+
+/// Shortest edge of a cell that particles are shared among, in d.
+const SHORTEST_CELL: f64 = 1.5;
+
+fn resolve_particles(
+    file: &CaseFile,
+    powder: &Powder,
+    domain: Option<&(Vec<f64>, Vec<usize>)>,
+    scales: Option<&Scales>,
+    problems: &mut Problems<'_>,
+) -> Option<ParticlesCase> {
+    let typed = &file.particles;
+    if let (Some((size, cells)), Some(solver)) = (domain, &file.physics.solver) {
+        if size.len() != 3 {
+            problems.refuse(solver, "particles are spheres: a box of three edges is needed");
+        }
+        let shortest =
+            size.iter().zip(cells).map(|(size, n)| size / *n as f64).fold(f64::INFINITY, f64::min);
+        if shortest < SHORTEST_CELL * powder.diameter {
+            problems.refuse(
+                solver,
+                format!(
+                    "a cell has an edge of {shortest:.3e} m: the gas around particles of {:.3e} m is \
+                     resolved by cells of {SHORTEST_CELL} d at least",
+                    powder.diameter
+                ),
+            );
+        }
+    }
+    let mut within = |typed: &Option<Typed<f64>>, [low, high]: [f64; 2], default: f64| match typed {
+        None => Some(default),
+        typed => accept(
+            typed.as_ref(),
+            |x| (low..=high).contains(&x),
+            &format!("a number from {low} to {high}"),
+            problems,
+        ),
+    };
+    let overlap = within(&typed.overlap, [1e-4, 0.05], OVERLAP);
+    let tangential_stiffness = within(&typed.tangential_stiffness, [0.0, 1.0], 2.0 / 7.0);
+    let tangential_damping = within(&typed.tangential_damping, [0.0, 1.0], 0.5);
+    let friction = within(&typed.friction_coefficient, [0.0, 10.0], 0.3);
+    let steps_per_contact = within(&typed.steps_per_contact, [20.0, 1000.0], 25.0);
+    let stiffness = match (&typed.stiffness, &typed.overlap) {
+        (Some(stiffness), Some(_)) => {
+            problems.refuse(stiffness, "overlap is given as well: keep one of the two");
+            None
+        }
+        (Some(_), None) => accept(
+            typed.stiffness.as_ref(),
+            |k| k > 0.0 && k <= 1e9,
+            "a number above 0 and at most 1e9 N/m",
+            problems,
+        ),
+        (None, _) => scales.zip(overlap).map(|(scales, overlap)| {
+            let mass = PI / 6.0 * powder.density * powder.diameter.powi(3);
+            stiffness_for(
+                overlap * powder.diameter,
+                powder.restitution,
+                0.5 * mass,
+                scales.terminal_velocity,
+            )
+        }),
+    };
+    let smoothing = match &typed.smoothing {
+        None => Some(0.0),
+        Some(typed) => {
+            let shortest = domain.map_or(f64::INFINITY, |(size, _)| {
+                size.iter().copied().fold(f64::INFINITY, f64::min)
+            });
+            let length = typed.value.si(scales)?;
+            if (0.0..=0.25 * shortest).contains(&length) {
+                Some(length)
+            } else {
+                problems.refuse(
+                    typed,
+                    "0 or a length up to a quarter of the shortest edge is accepted",
+                );
+                None
+            }
+        }
+    };
+    Some(ParticlesCase {
+        contact: Contact {
+            stiffness: stiffness?,
+            restitution: powder.restitution,
+            tangential_stiffness: tangential_stiffness?,
+            tangential_damping: tangential_damping?,
+            friction: friction?,
+        },
+        steps_per_contact: steps_per_contact?,
+        mapping: typed.mapping.as_ref().map_or(MappingChoice::Trilinear, |typed| typed.value),
+        smoothing: smoothing?,
     })
 }
 

@@ -1,9 +1,13 @@
 //! Forces of the contacts.
 
 use super::pairs::{IMAGES, Near, Slab, Touch, between};
-use super::{Dem, Quad};
+use super::{Dem, Quad, Seen};
 use crate::laws::contact::{Contact, TANGENTIAL_MOBILITY, damping};
 use crate::rows::{join, simd};
+
+/// Whether contacts are left to be seen: a kernel for each answer.
+#[derive(Clone, Copy)]
+struct Watching<const SEEN: bool>;
 
 /// What contacts look at.
 #[derive(Clone, Copy)]
@@ -43,7 +47,13 @@ impl<'a> Loads<'a> {
 }
 
 /// Forces of every other of the `slabs`, the first among them. `loads` begin at place `base`, that of the first slab's first particle, and reach to the end of the slab above the last.
-fn every_other(parallel: bool, scene: Scene, slabs: &mut [Slab], base: usize, loads: Loads) {
+fn every_other<const SEEN: bool>(
+    parallel: bool,
+    scene: Scene,
+    slabs: &mut [Slab],
+    base: usize,
+    loads: Loads,
+) {
     if slabs.len() > 2 {
         let half = (slabs.len() / 2).next_multiple_of(2);
         let (lower, upper) = slabs.split_at_mut(half);
@@ -51,13 +61,13 @@ fn every_other(parallel: bool, scene: Scene, slabs: &mut [Slab], base: usize, lo
         let (below, above) = loads.split_at(middle - base);
         join(
             parallel,
-            || every_other(parallel, scene, lower, base, below),
-            || every_other(parallel, scene, upper, middle, above),
+            || every_other::<SEEN>(parallel, scene, lower, base, below),
+            || every_other::<SEEN>(parallel, scene, upper, middle, above),
         );
     } else if let Some(slab) = slabs.first_mut() {
         let Scene { positions, images, .. } = scene;
         touching(slab, positions, images);
-        contacts(slab, scene, base, loads);
+        contacts(slab, scene, base, loads, Watching::<SEEN>);
     }
 }
 
@@ -98,10 +108,17 @@ fn add(to: &mut Quad, what: [f64; 3]) {
 simd! {
     /// Adds the forces and torques of a slab's pairs that [`touching`] found, and leaves their springs in
     /// its contacts.
-    fn contacts[](slab: &mut Slab, scene: Scene<'_>, base: usize, loads: Loads<'_>) {
+    fn contacts[const SEEN: bool](
+        slab: &mut Slab,
+        scene: Scene<'_>,
+        base: usize,
+        loads: Loads<'_>,
+        _watching: Watching<SEEN>,
+    ) {
         let Loads { forces, torques, touched } = loads;
         let Scene { positions, velocities, spins, images, law, dt } = scene;
-        let Slab { found, contacts, before, springs, lost, deepest, .. } = slab;
+        let Slab { found, contacts, before, springs, lost, deepest, seen, .. } = slab;
+        seen.clear();
         std::mem::swap(contacts, before);
         contacts.clear();
         (*springs, *lost, *deepest) = (0.0, 0.0, 0.0);
@@ -201,6 +218,11 @@ simd! {
                 add(&mut torques[a - base], twist.map(|twist| a_arm * twist));
                 add(&mut torques[pair.slot as usize - base], twist.map(|twist| b_arm * twist));
             }
+            if SEEN {
+                let Quad([x, y, z, _]) = positions[a];
+                let place = [x - 0.5 * d[0], y - 0.5 * d[1], z - 0.5 * d[2], 0.5 * distance];
+                seen.push(Seen { place: Quad(place), arm: d, force });
+            }
             contacts.push(Touch { spring: stretched, pair: place, ended: ends && kept.is_some() });
             let (a, b) = (a - base, pair.slot as usize - base);
             add(&mut forces[a], force);
@@ -216,7 +238,7 @@ simd! {
 impl Dem {
     /// Adds up the forces of all contacts, which were zero before; returns the deepest overlap over the
     /// mean diameter.
-    pub(super) fn contacts(&mut self) -> f64 {
+    pub(super) fn contacts<const SEEN: bool>(&mut self) -> f64 {
         let images = self.cells.images();
         let scene = Scene {
             positions: &self.positions,
@@ -232,12 +254,12 @@ impl Dem {
             torques: &mut self.torques,
             touched: &mut self.touched,
         };
-        every_other(parallel, scene, &mut self.slabs, 0, loads.from(0));
+        every_other::<SEEN>(parallel, scene, &mut self.slabs, 0, loads.from(0));
         if let [_, slabs @ ..] = &mut self.slabs[..]
             && let Some(Slab { begin, .. }) = slabs.first()
         {
             let begin = *begin;
-            every_other(parallel, scene, slabs, begin, loads.from(begin));
+            every_other::<SEEN>(parallel, scene, slabs, begin, loads.from(begin));
         }
         // What images took on belongs to the particles.
         let (particles, images) = loads.split_at(self.positions.len());

@@ -5,7 +5,7 @@
 //! pairs, out of the pairs, when it may have gone half of theirs. A contact is known by its pair, and
 //! is carried over when the pairs are listed anew.
 
-use super::{Dem, Quad};
+use super::{Dem, Quad, Seen};
 use crate::rows::each_chunk;
 use std::ops::Range;
 
@@ -110,6 +110,8 @@ pub(super) struct Slab {
     pub(super) lost: f64,
     /// Its deepest overlap over the mean diameter \[-\].
     pub(super) deepest: f64,
+    /// Its contacts, after a step that leaves them to be seen.
+    pub(super) seen: Vec<Seen>,
 }
 
 impl Slab {
@@ -118,6 +120,7 @@ impl Slab {
         self.pairs.capacity() * size_of::<Pair>()
             + (self.near.capacity() + self.found.capacity()) * size_of::<Near>()
             + (self.contacts.capacity() + self.before.capacity()) * size_of::<Touch>()
+            + self.seen.capacity() * size_of::<Seen>()
     }
 }
 

@@ -24,20 +24,6 @@ impl fmt::Display for Place {
     }
 }
 
-impl fmt::Display for Limit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Limit::Growth => "growth",
-            Limit::Solids => "solids advection",
-            Limit::Gas => "gas advection",
-            Limit::Sound => "granular sound",
-            Limit::Longest => "the longest step",
-            Limit::Diffusion => "viscosity and conductivity",
-            Limit::Packing => "packing",
-        })
-    }
-}
-
 /// A step that failed; the state is of no use any more.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum StepError {
@@ -110,7 +96,7 @@ fn remedy(limit: Limit) -> &'static str {
         Limit::Sound | Limit::Diffusion | Limit::Packing => {
             "double precision (run.precision), coarser cells or a smaller run.perturbation may do"
         }
-        Limit::Growth | Limit::Solids | Limit::Longest => {
+        Limit::Growth | Limit::Solids | Limit::Longest | Limit::Exchange => {
             "coarser cells or a smaller run.perturbation may do"
         }
     }
@@ -221,7 +207,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
                 (largest(&|row, i| self.theta.row(row)[i].f64()), "m²/s² of granular temperature")
             }
             Limit::Packing => (largest(&|row, i| self.phi.row(row)[i].f64()), "of solids fraction"),
-            Limit::Growth | Limit::Solids | Limit::Longest => {
+            Limit::Growth | Limit::Solids | Limit::Longest | Limit::Exchange => {
                 (largest(&|row, i| speed(&self.solids, row, i)), "m/s of the solids")
             }
         };

@@ -1,0 +1,653 @@
+//! [`CfdDem`]: spheres followed one by one ([`crate::dem`]) in a gas that is resolved on a grid of cells
+//! larger than they are, in a periodic box of three dimensions.
+//!
+//! ```text
+//! m dv/dt   = Σ F + V_p (g (ρ - ρ_s) - ∇p) + K (u_p - v)
+//! ∂(ε ρ_g u)/∂t + ∇·(ε ρ_g u u) = ε (g (ρ - ρ_g) - ∇p) - Σ_p K (u_p - v)/V
+//! ∂ε/∂t + ∇·(ε u) = 0
+//! ```
+//!
+//! ε = 1 - φ from the particles' volumes, ρ the mean density of the mixture: the frame is the one in which
+//! the mixture has no momentum, the mean gas pressure gradient balances the weight, and p is the periodic rest. u_p is the
+//! gas velocity that the particle sees (`mapping.rs`), K = m λ with λ = β/(φ ρ_s) of the fine-grid
+//! drag law at the fraction and the slip that it sees. The gas is incompressible; its molecular
+//! stress is left out.
+//!
+//! Staggered grid: φ and p at cell centres, u on faces. A step of [`CfdDem::step`], of length Δt:
+//!
+//! 1. particles: as many steps of contacts as Δt has, under the impulses that they are owed;
+//! 2. φ where they are now; λ of each; K and K v shared among the cells;
+//! 3. transport of the gas's momentum by the flux ε u of the step before, with the fractions that
+//!    went with that flux, so that a uniform velocity stays uniform;
+//! 4. gas: weight and old pressure, drag implicit on each face;
+//! 5. projection: the pressure increment that makes ∇·(ε u) what the particles' motion asks for;
+//! 6. what each particle is owed: drag by the new gas velocity, the new pressure, its weight.
+//!
+//! Drag is implicit in the gas, whose inertia among particles is little, and explicit in the particles,
+//! whose is not: λ Δt is at most [`EXCHANGE`]. Every exchange is one number with two signs: momentum, that which is owed included, is kept to
+//! round-off. It is stable while what pressure does to particles in a step is small against what it
+//! does to gas, φ² λ Δt/(1-φ)² < 1, which that limit sees to as well.
+
+mod fields;
+mod gas;
+mod mapping;
+mod smoothing;
+mod state;
+
+pub use smoothing::Smoothing;
+pub use state::StateError;
+
+use crate::case::{DragChoice, MappingChoice};
+use crate::dem::{self, Dem, Quad, SKIN, Seen, StartError, packed};
+use crate::field::{Faces, Field, Layout};
+use crate::fine::FineFields;
+use crate::grid::Grid;
+use crate::laws::contact::{Contact, TANGENTIAL_MOBILITY};
+use crate::laws::drag::DragLaw;
+use crate::laws::scales::{Gas, Powder, Scales, homogeneous_slip};
+use crate::poisson::Poisson;
+use crate::rows::Rows;
+use crate::simulation::{Failure, Limit, Means, Simulation, StepReport};
+use mapping::Mapping;
+use std::f64::consts::PI;
+use std::io::{self, Read, Write};
+
+/// Largest Courant number of the gas, summed over the axes of a cell.
+const GAS_COURANT: f64 = 0.9;
+
+/// Largest way of a particle in a step, in cells.
+const SOLIDS_COURANT: f64 = 0.25;
+
+/// Largest λ Δt: drag takes at most this share of a particle's slip in a step.
+const EXCHANGE: f64 = 0.2;
+
+/// Growth of the step from one to the next.
+const GROWTH: f64 = 1.25;
+
+/// First step and longest step, in u_t/g.
+const FIRST_STEP: f64 = 1e-3;
+const LONGEST_STEP: f64 = 0.05;
+
+/// Remaining divergence of the gas flux, times Δt, that ends the pressure iteration.
+const TOLERANCE: f64 = 1e-4;
+
+/// That above which the pressure counts as not converged.
+const UNSOLVED: f64 = 0.1;
+
+/// Most pressure iterations in a step.
+const MOST_ITERATIONS: usize = 100;
+
+/// Most of a cell that spheres may fill; a mapping that gives more is refused.
+const FULLEST: f64 = 0.95;
+
+/// What CFD-DEM is asked to compute.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Setup {
+    /// The powder.
+    pub powder: Powder,
+    /// The gas.
+    pub gas: Gas,
+    /// Gravity \[m/s²\].
+    pub gravity: f64,
+    /// Drag law.
+    pub drag: DragChoice,
+    /// Whether the gas carries its momentum along.
+    pub gas_inertia: bool,
+    /// Mean solids fraction of the box, met by a whole number of particles.
+    pub solids_fraction: f64,
+    /// What two particles do that touch.
+    pub contact: Contact,
+    /// Steps in a contact, at least.
+    pub steps_per_contact: f64,
+    /// How a particle's volume is shared among cells.
+    pub mapping: MappingChoice,
+    /// Standard deviation of the Gaussian that it is spread to afterwards \[m\]; 0 for none.
+    pub smoothing: f64,
+    /// A time that is a whole number of contact steps, such as that between samples \[s\].
+    pub rhythm: f64,
+    /// Of the particles' places.
+    pub seed: u64,
+    /// Whether a step may use the threads of the current pool.
+    pub parallel: bool,
+}
+
+/// A box that cannot be simulated.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum SetupError {
+    /// The particles cannot be placed.
+    #[error("the particles cannot be placed")]
+    Start(#[from] StartError),
+    /// They cannot be simulated.
+    #[error("the particles cannot be simulated")]
+    Particles(#[from] dem::SetupError),
+    /// There is none.
+    #[error(
+        "a solids fraction of {fraction} is {number:.2} particles of {diameter:.3e} m in this box: one at \
+         least is needed"
+    )]
+    None {
+        /// Solids fraction asked for.
+        fraction: f64,
+        /// Particles that this would be.
+        number: f64,
+        /// Their diameter \[m\].
+        diameter: f64,
+    },
+}
+
+/// Why a step could not be made; the state is of no use any more.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum StepError {
+    /// Of the particles.
+    #[error("the particles failed")]
+    Particles(#[from] dem::StepError),
+    /// The pressure iteration did not converge.
+    #[error(
+        "the gas pressure did not converge at t = {time:.6} s: after {iterations} iterations {residual:.1e} \
+         of the volume of a cell is unaccounted for (step of {dt:.2e} s); larger cells or \
+         particles.smoothing may do"
+    )]
+    Pressure {
+        /// Simulated time \[s\].
+        time: f64,
+        /// Iterations.
+        iterations: usize,
+        /// What is left, times the step.
+        residual: f64,
+        /// The step \[s\].
+        dt: f64,
+    },
+    /// A cell is filled beyond what spheres fill.
+    #[error(
+        "particles fill {fraction:.2} of the cell at ({}, {}, {}) at t = {time:.6} s, as they are shared among \
+         cells: larger cells or particles.smoothing are needed",
+        cell[0], cell[1], cell[2]
+    )]
+    Full {
+        /// Simulated time \[s\].
+        time: f64,
+        /// Fraction filled.
+        fraction: f64,
+        /// The cell.
+        cell: [usize; 3],
+    },
+    /// The gas velocity is no longer finite.
+    #[error("the gas velocity is not finite at t = {time:.6} s (step of {dt:.2e} s)")]
+    NotFinite {
+        /// Simulated time \[s\].
+        time: f64,
+        /// The step \[s\].
+        dt: f64,
+    },
+}
+
+/// Particles in a gas.
+pub struct CfdDem {
+    grid: Grid<3>,
+    rows: Rows<3>,
+    setup: Setup,
+    scales: Scales,
+    law: Box<dyn DragLaw<f64>>,
+    dem: Dem,
+    /// Contacts of the last contact step.
+    touches: Vec<Seen>,
+    mapping: Mapping,
+    /// g (ρ - ρ_k) of particles and gas \[N/m³\].
+    buoyancy: [f64; 2],
+    /// Volume of one particle \[m³\].
+    volume: f64,
+    time: f64,
+    next_dt: (f64, Limit),
+    /// The step before \[s\]; 0 if there is none.
+    last_dt: f64,
+    /// Simulated seconds of the wall clock per stage.
+    clock: [f64; STAGES.len()],
+
+    /// φ now, at the end of the step before, and at that of the one before that.
+    phi: [Field<f64, 3>; 3],
+    pressure: Field<f64, 3>,
+    increment: Field<f64, 3>,
+    gas: Faces<f64, 3>,
+
+    // What a step leaves behind, so that none is allocated in it.
+    carried: Faces<f64, 3>,
+    sides: Faces<f64, 3>,
+    flux: Faces<f64, 3>,
+    mobility: Faces<f64, 3>,
+    right: Field<f64, 3>,
+    poisson: Poisson<f64, 3>,
+    /// φ per cell.
+    filled: Vec<[f64; 1]>,
+    /// K/V and K v/V per cell, as shared out and as fields.
+    exchange: Vec<[f64; 4]>,
+    drag: Field<f64, 3>,
+    given: Faces<f64, 3>,
+    /// Gas velocity and φ at centres, as particles see them.
+    seen: Vec<[f64; 4]>,
+    /// Gas velocity and pressure gradient at centres, likewise.
+    pulls: Vec<[f64; 8]>,
+    /// λ of each particle \[1/s\], by place in memory.
+    rates: Vec<f64>,
+}
+
+/// The stages of a step, for [`CfdDem::stage_seconds`].
+pub const STAGES: [&str; 3] = ["particles", "exchange", "gas"];
+
+impl CfdDem {
+    /// Particles at rest at random places without overlap, in a uniform gas that carries their weight,
+    /// in the frame in which the mixture has no momentum.
+    ///
+    /// # Errors
+    /// The particles cannot be placed or simulated.
+    pub fn new(grid: Grid<3>, setup: Setup) -> Result<Self, SetupError> {
+        let diameter = setup.powder.diameter;
+        let number = setup.solids_fraction * grid.size().iter().product::<f64>() * 6.0
+            / (PI * diameter.powi(3));
+        if number < 0.5 {
+            let fraction = setup.solids_fraction;
+            return Err(SetupError::None { fraction, number, diameter });
+        }
+        let diameters = vec![diameter; number.round() as usize];
+        let spheres =
+            packed(grid.size(), &diameters, setup.powder.density, setup.seed, setup.parallel)?;
+        Self::with_spheres(grid, setup, &spheres)
+    }
+
+    /// These particles, all of the powder's diameter, their velocities taken against that of the uniform
+    /// state.
+    ///
+    /// # Errors
+    /// They cannot be simulated.
+    pub fn with_spheres(
+        grid: Grid<3>,
+        setup: Setup,
+        spheres: &[dem::Sphere],
+    ) -> Result<Self, SetupError> {
+        let Setup { powder, gas, gravity, contact, .. } = setup;
+        let layout = Layout::from(&grid);
+        let zeros = || Field::zeros(layout);
+        let volume = PI / 6.0 * powder.diameter.powi(3);
+        let mean = spheres.len() as f64 * volume / grid.size().iter().product::<f64>();
+        let mixture = powder.density * mean + gas.density * (1.0 - mean);
+        let law = setup.drag.law(&gas, &powder);
+        let slip = homogeneous_slip(&law, &powder, &gas, gravity, mean);
+        let falling = -gas.density * (1.0 - mean) * slip / mixture;
+        let spheres: Vec<dem::Sphere> = spheres
+            .iter()
+            .map(|sphere| {
+                let [x, y, z] = sphere.velocity;
+                dem::Sphere { velocity: [x, y, z + falling], ..*sphere }
+            })
+            .collect();
+        // The contact's own step, shortened until the rhythm is a whole number of them.
+        let stiffest =
+            contact.stiffness * (TANGENTIAL_MOBILITY * contact.tangential_stiffness).max(1.0);
+        let shortest = PI * (0.5 * powder.density * volume / stiffest).sqrt();
+        let steps = (setup.rhythm * setup.steps_per_contact / shortest).ceil().max(1.0);
+        let dem = Dem::new(
+            dem::Setup {
+                size: grid.size(),
+                contact,
+                steps_per_contact: shortest * steps / setup.rhythm,
+                skin: SKIN,
+                parallel: setup.parallel,
+            },
+            &spheres,
+        )?;
+        let scales = Scales::new(&powder, &gas, gravity);
+        let mut carrier = Field::zero_faces(layout);
+        carrier[2].set(|_| powder.density * mean * slip / mixture);
+        let mut flow = Self {
+            grid,
+            rows: Rows::new(layout, setup.parallel),
+            setup: Setup { solids_fraction: mean, ..setup },
+            law,
+            mapping: Mapping::new(&grid, setup.mapping, setup.smoothing),
+            buoyancy: [gravity * (mixture - powder.density), gravity * (mixture - gas.density)],
+            volume,
+            time: 0.0,
+            next_dt: (FIRST_STEP * scales.time(), Limit::Growth),
+            last_dt: 0.0,
+            clock: [0.0; STAGES.len()],
+            scales,
+            phi: [zeros(), zeros(), zeros()],
+            pressure: zeros(),
+            increment: zeros(),
+            gas: carrier,
+            carried: Field::zero_faces(layout),
+            sides: Field::zero_faces(layout),
+            flux: Field::zero_faces(layout),
+            mobility: Field::zero_faces(layout),
+            right: zeros(),
+            poisson: Poisson::new(&grid, setup.parallel),
+            filled: vec![[0.0]; grid.len()],
+            exchange: vec![[0.0; 4]; grid.len()],
+            drag: zeros(),
+            given: Field::zero_faces(layout),
+            seen: vec![[0.0; 4]; grid.len()],
+            pulls: vec![[0.0; 8]; grid.len()],
+            rates: vec![0.0; spheres.len()],
+            touches: Vec::new(),
+            dem,
+        };
+        flow.dem.drives_mut();
+        for _ in 0..3 {
+            flow.fill();
+        }
+        flow.see_pulls();
+        Ok(flow)
+    }
+
+    /// Advances by one step towards the time `until` \[s\], which is a whole number of contact steps away,
+    /// such that equal steps end there.
+    ///
+    /// # Errors
+    /// Particles overlap too deeply or move too fast, the pressure does not converge, or cells are filled
+    /// beyond what spheres fill.
+    ///
+    /// # Panics
+    /// When `until` is not in the future.
+    pub fn step(&mut self, until: f64) -> Result<StepReport, StepError> {
+        assert!(until > self.time, "a step from {} s to {until} s", self.time);
+        let begin = std::time::Instant::now();
+        let short = self.dem.time_step();
+        let (longest, limit) = self.next_dt;
+        let most = (longest / short).floor().clamp(1.0, 1e9) as u64;
+        let (steps, last) = if until.is_finite() {
+            let left = ((until - self.time) / short).round().max(1.0) as u64;
+            let steps = left.div_ceil(left.div_ceil(most));
+            (steps, steps == left)
+        } else {
+            (most, false)
+        };
+        let dt = steps as f64 * short;
+
+        for Quad([x, y, z, _]) in self.dem.drives_mut() {
+            [*x, *y, *z] = [*x / dt, *y / dt, *z / dt];
+        }
+        self.dem.run(steps - 1)?;
+        self.dem.run_seen()?;
+        self.touches.clear();
+        self.touches.extend(self.dem.seen());
+        self.time = if last { until } else { self.time + dt };
+        let moved = begin.elapsed().as_secs_f64();
+
+        self.fill();
+        self.check_filled()?;
+        let fastest = self.share();
+        let shared = begin.elapsed().as_secs_f64();
+        let (iterations, residual) = self.advance_gas(dt);
+        let solved = begin.elapsed().as_secs_f64();
+        let time = self.time;
+        if !residual.is_finite() {
+            return Err(StepError::NotFinite { time, dt });
+        }
+        if residual * dt > UNSOLVED {
+            return Err(StepError::Pressure { time, iterations, residual: residual * dt, dt });
+        }
+        self.owe(dt);
+        let owed = begin.elapsed().as_secs_f64();
+        let stages = [moved, shared - moved + owed - solved, solved - shared];
+        for (clock, seconds) in self.clock.iter_mut().zip(stages) {
+            *clock += seconds;
+        }
+        self.last_dt = dt;
+        self.next_dt = self.choose_step(longest, fastest);
+        Ok(StepReport {
+            dt,
+            limit,
+            gas_steps: usize::from(self.setup.gas_inertia),
+            iterations,
+            volume_residual: residual * dt,
+        })
+    }
+
+    /// The longest next step after one that might have been `longest`, and what limits it. `fastest` is
+    /// the largest way of a particle in cells and the largest λ \[1/s\].
+    fn choose_step(&self, longest: f64, [solids, exchange]: [f64; 2]) -> (f64, Limit) {
+        let tiny = 1e-300;
+        let gas = if self.setup.gas_inertia { self.gas_speed() } else { 0.0 };
+        [
+            (SOLIDS_COURANT / (solids + tiny), Limit::Solids),
+            (GAS_COURANT / (gas + tiny), Limit::Gas),
+            (EXCHANGE / (exchange + tiny), Limit::Exchange),
+            (LONGEST_STEP * self.scales.time(), Limit::Longest),
+        ]
+        .into_iter()
+        .fold(
+            (GROWTH * longest, Limit::Growth),
+            |best, next| if next.0 < best.0 { next } else { best },
+        )
+    }
+
+    /// φ where the particles are, the two before kept.
+    fn fill(&mut self) {
+        self.phi.rotate_right(1);
+        self.filled.fill([0.0]);
+        let share = self.volume / self.grid.cell_volume();
+        for position in self.dem.positions() {
+            self.mapping.shares(*position).give(&mut self.filled, [share]);
+        }
+        self.mapping.smooth(&mut self.filled);
+        let (filled, index) = (&self.filled, index(self.grid.cells));
+        self.phi[0].set(|cell| filled[index(cell)][0]);
+    }
+
+    /// Whether cells are filled as spheres can fill them.
+    fn check_filled(&self) -> Result<(), StepError> {
+        let (mut most, mut place) = (0.0, 0);
+        for (n, [fraction]) in self.filled.iter().enumerate() {
+            if *fraction > most {
+                (most, place) = (*fraction, n);
+            }
+        }
+        if most > FULLEST {
+            let [nx, ny, _] = self.grid.cells;
+            let cell = [place % nx, place / nx % ny, place / (nx * ny)];
+            return Err(StepError::Full { time: self.time, fraction: most, cell });
+        }
+        Ok(())
+    }
+
+    /// Finds λ of each particle by the gas as it was, and shares K and K v among the cells; returns the
+    /// largest speed of a particle in cells per second, summed over the axes, and the largest λ.
+    fn share(&mut self) -> [f64; 2] {
+        self.see_gas();
+        let density = self.setup.powder.density;
+        let cell = self.grid.cell_volume();
+        let inverse = self.grid.spacing.map(|h| 1.0 / h);
+        let mass = density * self.volume;
+        self.exchange.fill([0.0; 4]);
+        let mut fastest = [0.0f64; 2];
+        let particles = self.dem.positions().iter().zip(self.dem.velocities());
+        for ((position, velocity), rate) in particles.zip(&mut self.rates) {
+            let shares = self.mapping.shares(*position);
+            let [ux, uy, uz, phi] = shares.see(&self.seen);
+            let v = velocity.vector();
+            let slip = [ux - v[0], uy - v[1], uz - v[2]];
+            let speed = slip.iter().map(|s| s * s).sum::<f64>().sqrt();
+            *rate = self.law.beta_per_fraction(phi, speed) / density;
+            let k = mass * *rate / cell;
+            shares.give(&mut self.exchange, [k, k * v[0], k * v[1], k * v[2]]);
+            let way = (0..3).map(|axis| v[axis].abs() * inverse[axis]).sum::<f64>();
+            fastest = [fastest[0].max(way), fastest[1].max(*rate)];
+        }
+        self.mapping.smooth(&mut self.exchange);
+        let (exchange, index) = (&self.exchange, index(self.grid.cells));
+        self.drag.set(|cell| exchange[index(cell)][0]);
+        for (axis, given) in self.given.iter_mut().enumerate() {
+            given.set(|cell| exchange[index(cell)][1 + axis]);
+        }
+        fastest
+    }
+
+    /// Gas velocity and φ at centres, as particles see them.
+    fn see_gas(&mut self) {
+        let (layout, nx) = (self.rows.layout(), self.grid.cells[0]);
+        for number in 0..layout.rows() {
+            let row = layout.row(number);
+            let seen = &mut self.seen[number * nx..][..nx];
+            for axis in 0..3 {
+                let (lower, upper) =
+                    (self.gas[axis].row(row), self.gas[axis].row(row.near(axis, 1)));
+                for (seen, (lower, upper)) in seen.iter_mut().zip(lower.iter().zip(upper)) {
+                    seen[axis] = 0.5 * (lower + upper);
+                }
+            }
+            for (seen, phi) in seen.iter_mut().zip(self.phi[0].row(row)) {
+                seen[3] = *phi;
+            }
+        }
+        self.mapping.smooth(&mut self.seen);
+    }
+
+    /// Gas velocity and pressure gradient at centres, as particles see them.
+    fn see_pulls(&mut self) {
+        let (layout, nx) = (self.rows.layout(), self.grid.cells[0]);
+        let inverse = self.grid.spacing.map(|h| 1.0 / h);
+        for number in 0..layout.rows() {
+            let row = layout.row(number);
+            let pulls = &mut self.pulls[number * nx..][..nx];
+            for axis in 0..3 {
+                let (lower, upper) =
+                    (self.gas[axis].row(row), self.gas[axis].row(row.near(axis, 1)));
+                let pressure = &self.pressure;
+                let (below, above) =
+                    (pressure.row(row.near(axis, -1)), pressure.row(row.near(axis, 1)));
+                for (i, pull) in pulls.iter_mut().enumerate() {
+                    pull[axis] = 0.5 * (lower[i] + upper[i]);
+                    pull[3 + axis] = 0.5 * inverse[axis] * (above[i] - below[i]);
+                }
+            }
+        }
+        self.mapping.smooth(&mut self.pulls);
+    }
+
+    /// What each particle is owed after a step of the gas of `dt`, as a change of its velocity.
+    fn owe(&mut self, dt: f64) {
+        self.see_pulls();
+        let density = self.setup.powder.density;
+        let weight = self.buoyancy[0] / density;
+        let Self { dem, mapping, pulls, rates, .. } = self;
+        for place in 0..dem.len() {
+            let seen = mapping.shares(dem.positions()[place]).see(pulls);
+            let v = dem.velocities()[place].vector();
+            let rate = rates[place];
+            let change: [f64; 3] = std::array::from_fn(|axis| {
+                let up = if axis == 2 { weight } else { 0.0 };
+                dt * (rate * (seen[axis] - v[axis]) - seen[3 + axis] / density + up)
+            });
+            dem.drives_mut()[place] = Quad([change[0], change[1], change[2], 0.0]);
+        }
+    }
+
+    /// The grid.
+    pub fn grid(&self) -> Grid<3> {
+        self.grid
+    }
+
+    /// The particles.
+    pub fn particles(&self) -> &Dem {
+        &self.dem
+    }
+
+    /// Simulated time \[s\].
+    pub fn time(&self) -> f64 {
+        self.time
+    }
+
+    /// Seconds that each of [`STAGES`] took so far.
+    pub fn stage_seconds(&self) -> [f64; STAGES.len()] {
+        self.clock
+    }
+
+    /// Slip velocity of the uniform state at the box's mean solids fraction \[m/s\].
+    pub fn uniform_slip(&self) -> f64 {
+        let Setup { powder, gas, gravity, solids_fraction, .. } = &self.setup;
+        homogeneous_slip(&self.law, powder, gas, *gravity, *solids_fraction)
+    }
+
+    /// Means over the box; the momentum includes what particles are owed.
+    pub fn means(&self) -> Means<3> {
+        let layout = self.rows.layout();
+        let cells = self.grid.len() as f64;
+        let (mut gas, mut square) = (0.0, 0.0);
+        let mut momentum = [0.0; 3];
+        for row in (0..layout.rows()).map(|number| layout.row(number)) {
+            square += self.phi[0].row(row).iter().map(|phi| phi * phi).sum::<f64>();
+            for (axis, momentum) in momentum.iter_mut().enumerate() {
+                let below = row.near(axis, -1);
+                let u = self.gas[axis].row(row);
+                // The inertia of the gas goes with the fractions of the step before.
+                let (lower, upper) = (self.phi[1].row(below), self.phi[1].row(row));
+                for (i, u) in u.iter().enumerate() {
+                    *momentum += (1.0 - 0.5 * (lower[i] + upper[i])) * u;
+                }
+            }
+            let (lower, upper) = (self.phi[0].row(row.near(2, -1)), self.phi[0].row(row));
+            for (i, u) in self.gas[2].row(row).iter().enumerate() {
+                gas += (1.0 - 0.5 * (lower[i] + upper[i])) * u;
+            }
+        }
+        let mean = self.setup.solids_fraction;
+        let (density, number) = (self.setup.powder.density, self.dem.len() as f64);
+        let mut falling = 0.0;
+        let mut solids = [0.0; 3];
+        for (velocity, owed) in self.dem.velocities().iter().zip(self.dem.drives()) {
+            falling += velocity.0[2];
+            for axis in 0..3 {
+                solids[axis] += velocity.0[axis] + owed.0[axis];
+            }
+        }
+        let falling = falling / number;
+        let seen: f64 = self
+            .dem
+            .positions()
+            .iter()
+            .map(|position| self.mapping.shares(*position).see(&self.pulls)[2])
+            .sum();
+        Means {
+            slip: gas / (cells * (1.0 - mean)) - falling,
+            particle_slip: seen / number - falling,
+            solids_fraction: self.phi[0].mean(),
+            solids_fraction_variance: (square / cells - mean * mean).max(0.0),
+            momentum: std::array::from_fn(|axis| {
+                self.setup.gas.density * momentum[axis] / cells
+                    + density * mean * solids[axis] / number
+            }),
+            pressure_gradient: 1.0,
+        }
+    }
+}
+
+/// The place of a cell in a list, the first axis fastest.
+fn index([nx, ny, _]: [usize; 3]) -> impl Fn([usize; 3]) -> usize {
+    move |[i, j, k]| (k * ny + j) * nx + i
+}
+
+impl Simulation<3> for CfdDem {
+    fn step(&mut self, until: f64) -> Result<StepReport, Failure> {
+        Ok(self.step(until)?)
+    }
+    fn time(&self) -> f64 {
+        self.time
+    }
+    fn means(&self) -> Means<3> {
+        self.means()
+    }
+    fn fields(&self, fine: &mut FineFields<3>) {
+        self.fields(fine);
+    }
+    fn uniform_slip(&self) -> f64 {
+        self.uniform_slip()
+    }
+    fn save_state(&self, to: &mut dyn Write) -> io::Result<()> {
+        self.save_state(to)
+    }
+    fn restore_state(&mut self, from: &mut dyn Read) -> Result<(), Failure> {
+        Ok(self.restore_state(from)?)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,95 @@
+//! What the filter sees of particles in a gas: fields at cell centres.
+
+use super::CfdDem;
+use crate::fine::{FineFields, symmetric_index};
+
+/// Pairs of axes in the order of [`symmetric_index`].
+const PAIRS: [[usize; 2]; 6] = [[0, 0], [0, 1], [1, 1], [0, 2], [1, 2], [2, 2]];
+
+impl CfdDem {
+    /// Leaves the resolved fields of this instant in `fine`, at cell centres.
+    ///
+    /// φ, φ u_s and β are the particles' volumes, volumes times velocities and volumes times λ ρ_s, shared among
+    /// cells as in a step; where there are no particles, u_s is the gas's velocity. Θ and the kinetic
+    /// part of the stress are those of the velocities about u_s of their cell; the stress of contacts,
+    /// Σ F ⊗ r/V of the last contact step, is shared from where particles touch.
+    ///
+    /// # Panics
+    /// When `fine` is of another grid.
+    pub fn fields(&self, fine: &mut FineFields<3>) {
+        assert_eq!(fine.grid, self.grid, "fields of another grid");
+        fine.time = self.time;
+        let cells = self.grid.len();
+        let density = self.setup.powder.density;
+        let inverse_volume = 1.0 / self.grid.cell_volume();
+        let share = self.volume * inverse_volume;
+        let mut mapping = self.mapping.clone();
+
+        for (cell, pull) in self.pulls.iter().enumerate() {
+            for axis in 0..3 {
+                fine.gas_velocity[axis][cell] = pull[axis];
+                fine.pressure_gradient[axis][cell] = pull[3 + axis];
+            }
+        }
+
+        let mut moved = vec![[0.0; 5]; cells];
+        let mut squares = vec![[0.0; 6]; cells];
+        let mut seen = vec![[0.0; 1]; cells];
+        let inside = self.phi[0].interior().flatten();
+        seen.iter_mut().zip(inside).for_each(|(seen, phi)| *seen = [*phi]);
+        fine.solids_fraction.iter_mut().zip(&seen).for_each(|(phi, [seen])| *phi = *seen);
+        mapping.smooth(&mut seen);
+        let particles = self.dem.positions().iter().zip(self.dem.velocities());
+        for (position, velocity) in particles {
+            let shares = mapping.shares(*position);
+            let [ux, uy, uz, ..] = shares.see(&self.pulls);
+            let [phi] = shares.see(&seen);
+            let [x, y, z] = velocity.vector();
+            let speed = ((ux - x).powi(2) + (uy - y).powi(2) + (uz - z).powi(2)).sqrt();
+            let beta = share * self.law.beta_per_fraction(phi, speed);
+            shares.give(&mut moved, [share, share * x, share * y, share * z, beta]);
+            let square = PAIRS.map(|[a, b]| share * velocity.0[a] * velocity.0[b]);
+            shares.give(&mut squares, square);
+        }
+        mapping.smooth(&mut moved);
+        mapping.smooth(&mut squares);
+
+        let mut contacts = vec![[0.0; 6]; cells];
+        for touch in &self.touches {
+            let stress = PAIRS.map(|[a, b]| {
+                0.5 * inverse_volume
+                    * (touch.force[a] * touch.arm[b] + touch.force[b] * touch.arm[a])
+            });
+            mapping.shares(touch.place).give(&mut contacts, stress);
+        }
+        mapping.smooth(&mut contacts);
+
+        for cell in 0..cells {
+            let [phi, x, y, z, beta] = moved[cell];
+            let filled = phi > 1e-9;
+            let u: [f64; 3] = if filled {
+                [x / phi, y / phi, z / phi]
+            } else {
+                std::array::from_fn(|axis| fine.gas_velocity[axis][cell])
+            };
+            for axis in 0..3 {
+                fine.solids_velocity[axis][cell] = u[axis];
+            }
+            fine.drag_coefficient[cell] = beta;
+            let kinetic: [f64; 6] = std::array::from_fn(|n| {
+                let [a, b] = PAIRS[n];
+                if filled { density * (squares[cell][n] - phi * u[a] * u[b]) } else { 0.0 }
+            });
+            let third =
+                |of: &[f64; 6]| (0..3).map(|a| of[symmetric_index(a, a)]).sum::<f64>() / 3.0;
+            let energy = third(&kinetic).max(0.0);
+            fine.granular_temperature[cell] = if filled { energy / (density * phi) } else { 0.0 };
+            let whole: [f64; 6] = std::array::from_fn(|n| kinetic[n] + contacts[cell][n]);
+            let pressure = third(&whole);
+            fine.solids_pressure[cell] = pressure;
+            for (n, [a, b]) in PAIRS.into_iter().enumerate() {
+                fine.solids_stress[n][cell] = whole[n] - if a == b { pressure } else { 0.0 };
+            }
+        }
+    }
+}

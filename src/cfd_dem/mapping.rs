@@ -1,0 +1,227 @@
+//! How particles and cells see each other: a particle's volume is shared among the cells around it, and
+//! the particle sees the mean of those cells with the same shares.
+//!
+//! Seen and shared alike, what all particles take is what all cells give, to round-off:
+//! Σ_p K_p Σ_c w_pc u_c = Σ_c u_c Σ_p w_pc K_p. Shares add up to one, so that volume, mass and
+//! momentum are kept.
+
+use super::Smoothing;
+use crate::case::MappingChoice;
+use crate::dem::Quad;
+use crate::grid::Grid;
+use std::f64::consts::PI;
+
+/// How particles and cells see each other.
+#[derive(Clone, Debug)]
+pub(super) struct Mapping {
+    cells: [usize; 3],
+    inverse_spacing: [f64; 3],
+    choice: MappingChoice,
+    smoothing: Smoothing,
+    /// What [`Mapping::smooth`] writes to.
+    scratch: Vec<[f64; 8]>,
+}
+
+/// The cells that share a particle, and their shares.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shares {
+    pub cells: [u32; 8],
+    pub weights: [f64; 8],
+}
+
+impl Shares {
+    /// Adds a particle's numbers to its cells.
+    #[inline(always)]
+    pub fn give<const N: usize>(&self, to: &mut [[f64; N]], what: [f64; N]) {
+        for (&cell, &weight) in self.cells.iter().zip(&self.weights) {
+            let to = &mut to[cell as usize];
+            for n in 0..N {
+                to[n] += weight * what[n];
+            }
+        }
+    }
+
+    /// The mean of the cells' numbers that the particle sees.
+    #[inline(always)]
+    pub fn see<const N: usize>(&self, from: &[[f64; N]]) -> [f64; N] {
+        let mut seen = [0.0; N];
+        for (&cell, &weight) in self.cells.iter().zip(&self.weights) {
+            let from = &from[cell as usize];
+            for n in 0..N {
+                seen[n] += weight * from[n];
+            }
+        }
+        seen
+    }
+}
+
+/// A place along an axis in units of cells: the lower of the two cells that share it, and its share.
+///
+/// Trilinear: a hat as wide as two cells. Divided: what lies in either cell of an edge `edge` of
+/// the cube of the particle's volume.
+#[inline(always)]
+fn along(choice: MappingChoice, place: f64, edge: f64) -> (f64, f64) {
+    match choice {
+        MappingChoice::Trilinear => {
+            let lower = (place - 0.5).floor();
+            (lower, 1.0 - (place - 0.5 - lower))
+        }
+        MappingChoice::Divided => {
+            let begin = place - 0.5 * edge;
+            let lower = begin.floor();
+            (lower, ((lower + 1.0 - begin) / edge).min(1.0))
+        }
+    }
+}
+
+impl Mapping {
+    pub fn new(grid: &Grid<3>, choice: MappingChoice, length: f64) -> Self {
+        Self {
+            cells: grid.cells,
+            inverse_spacing: grid.spacing.map(|h| 1.0 / h),
+            choice,
+            smoothing: Smoothing::new(grid.spacing, length),
+            scratch: Vec::new(),
+        }
+    }
+
+    /// The cells that share a particle: its centre and radius.
+    #[inline(always)]
+    pub fn shares(&self, Quad([x, y, z, radius]): Quad) -> Shares {
+        // Edge of the cube of the sphere's volume.
+        let edge = 2.0 * radius * (PI / 6.0).cbrt();
+        let mut places = [[0u32; 2]; 3];
+        let mut parts = [[0.0; 2]; 3];
+        for (axis, x) in [x, y, z].into_iter().enumerate() {
+            let inverse = self.inverse_spacing[axis];
+            let (lower, share) = along(self.choice, x * inverse, edge * inverse);
+            let cells = self.cells[axis] as i64;
+            let lower = (lower as i64).rem_euclid(cells);
+            let upper = if lower + 1 == cells { 0 } else { lower + 1 };
+            places[axis] = [lower as u32, upper as u32];
+            parts[axis] = [share, 1.0 - share];
+        }
+        let [width, depth] = [self.cells[0] as u32, self.cells[1] as u32];
+        let corner = |n: usize| [n & 1, (n >> 1) & 1, n >> 2];
+        Shares {
+            cells: std::array::from_fn(|n| {
+                let [i, j, k] = corner(n);
+                (places[2][k] * depth + places[1][j]) * width + places[0][i]
+            }),
+            weights: std::array::from_fn(|n| {
+                let [i, j, k] = corner(n);
+                parts[0][i] * parts[1][j] * parts[2][k]
+            }),
+        }
+    }
+
+    /// Spreads what cells hold to a Gaussian of the length asked for, keeping its sum: explicit steps of
+    /// diffusion. It is its own adjoint, so that what was shared is spread, and what will be seen.
+    pub fn smooth<const N: usize>(&mut self, values: &mut [[f64; N]]) {
+        let [nx, ny, nz] = self.cells;
+        let [ax, ay, az] = self.smoothing.shares;
+        self.scratch.resize(values.len(), [0.0; 8]);
+        for _ in 0..self.smoothing.steps {
+            for (kept, value) in self.scratch.iter_mut().zip(&*values) {
+                kept[..N].copy_from_slice(value);
+            }
+            let from = &self.scratch;
+            for k in 0..nz {
+                let (below, above) = ((k + nz - 1) % nz, (k + 1) % nz);
+                for j in 0..ny {
+                    let (front, back) = ((j + ny - 1) % ny, (j + 1) % ny);
+                    let row = |j: usize, k: usize| (k * ny + j) * nx;
+                    let [here, front, back, below, above] =
+                        [row(j, k), row(front, k), row(back, k), row(j, below), row(j, above)];
+                    for i in 0..nx {
+                        let (left, right) = ((i + nx - 1) % nx, (i + 1) % nx);
+                        let near = [
+                            (ax, here + left, here + right),
+                            (ay, front + i, back + i),
+                            (az, below + i, above + i),
+                        ];
+                        let value = &mut values[here + i];
+                        for (n, value) in value.iter_mut().enumerate() {
+                            let old = from[here + i][n];
+                            for (share, lower, upper) in near {
+                                *value += share * (from[lower][n] - 2.0 * old + from[upper][n]);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const GRID: [usize; 3] = [8, 10, 12];
+
+    fn mapping(choice: MappingChoice, length: f64) -> Mapping {
+        Mapping::new(&Grid::new([0.8, 1.0, 1.2], GRID), choice, length)
+    }
+
+    proptest! {
+        #[test]
+        fn shares_add_up_to_one_and_have_the_particle_in_their_middle(
+            place in [0.15..0.65f64, 0.15..0.85f64, 0.15..1.05f64]
+        ) {
+            for choice in [MappingChoice::Trilinear, MappingChoice::Divided] {
+                let [x, y, z] = place;
+                let shares = mapping(choice, 0.0).shares(Quad([x, y, z, 0.05]));
+                let sum: f64 = shares.weights.iter().sum();
+                prop_assert!((sum - 1.0).abs() < 1e-14);
+                prop_assert!(shares.weights.iter().all(|weight| (0.0..=1.0).contains(weight)));
+                if choice == MappingChoice::Trilinear {
+                    // What is linear in space is seen exactly.
+                    let centres: Vec<[f64; 3]> = (0..960)
+                        .map(|c| [c % 8, c / 8 % 10, c / 80].map(|i| 0.1 * (i as f64 + 0.5)))
+                        .collect();
+                    let seen = shares.see(&centres);
+                    for axis in 0..3 {
+                        prop_assert!((seen[axis] - place[axis]).abs() < 1e-14);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_particle_within_a_cell_is_divided_to_that_cell_alone() {
+        let shares = mapping(MappingChoice::Divided, 0.0).shares(Quad([0.05, 0.05, 0.05, 0.05]));
+        let inside = shares.cells.iter().zip(&shares.weights).filter(|(cell, _)| **cell == 0);
+        assert!((inside.map(|(_, weight)| weight).sum::<f64>() - 1.0).abs() < 1e-15);
+        // Across the corner of the box.
+        let shares = mapping(MappingChoice::Divided, 0.0).shares(Quad([0.0, 0.0, 0.0, 0.05]));
+        assert!(shares.weights.iter().all(|weight| (weight - 0.125).abs() < 1e-12));
+        assert!(shares.cells.contains(&0) && shares.cells.contains(&959));
+    }
+
+    #[test]
+    fn smoothing_keeps_sums_has_the_variance_asked_for_and_is_its_own_adjoint() {
+        let grid = Grid::new([3.2, 3.2, 3.2], [32; 3]);
+        let mut mapping = Mapping::new(&grid, MappingChoice::Trilinear, 0.15);
+        let mut values = vec![[0.0]; 32 * 32 * 32];
+        let at = |i: usize, j: usize, k: usize| (k * 32 + j) * 32 + i;
+        values[at(16, 16, 16)] = [1.0];
+        mapping.smooth(&mut values);
+        let sum: f64 = values.iter().map(|[v]| v).sum();
+        assert!((sum - 1.0).abs() < 1e-13);
+        for axis in 0..3 {
+            let square = |c: usize| {
+                let i = [c % 32, c / 32 % 32, c / 1024][axis] as f64 - 16.0;
+                0.01 * i * i
+            };
+            let variance: f64 = values.iter().enumerate().map(|(c, [v])| v * square(c)).sum();
+            assert!((variance / 0.0225 - 1.0).abs() < 1e-12, "{variance}");
+        }
+        let mut other = vec![[0.0]; values.len()];
+        other[at(14, 17, 15)] = [1.0];
+        mapping.smooth(&mut other);
+        assert!((values[at(14, 17, 15)][0] - other[at(16, 16, 16)][0]).abs() < 1e-16);
+    }
+}
