@@ -55,8 +55,8 @@ use std::io::{self, Read, Write};
 /// Largest Courant number of the gas, summed over the axes of a cell.
 const GAS_COURANT: f64 = 0.9;
 
-/// Largest way of a particle in a step, in cells.
-const SOLIDS_COURANT: f64 = 0.25;
+/// Largest way of a particle in a step, in cells: drag and pressure change little on the way.
+const SOLIDS_COURANT: f64 = 0.5;
 
 /// Largest λ Δt: drag takes at most this share of a particle's slip in a step.
 const EXCHANGE: f64 = 0.2;
@@ -450,7 +450,7 @@ impl CfdDem {
     }
 
     /// Finds λ of each particle by the gas as it was, and shares K and K v among the cells; returns the
-    /// largest speed of a particle in cells per second, summed over the axes, and the largest λ.
+    /// largest speed of a particle along an axis in cells per second, and the largest λ.
     fn share(&mut self) -> [f64; 2] {
         self.see_gas();
         let density = self.setup.powder.density;
@@ -469,7 +469,7 @@ impl CfdDem {
             *rate = self.law.beta_per_fraction(phi, speed) / density;
             let k = mass * *rate / cell;
             shares.give(&mut self.exchange, [k, k * v[0], k * v[1], k * v[2]]);
-            let way = (0..3).map(|axis| v[axis].abs() * inverse[axis]).sum::<f64>();
+            let way = (0..3).map(|axis| v[axis].abs() * inverse[axis]).fold(0.0, f64::max);
             fastest = [fastest[0].max(way), fastest[1].max(*rate)];
         }
         self.mapping.smooth(&mut self.exchange);

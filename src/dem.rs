@@ -225,6 +225,8 @@ pub struct Dem {
     spins: Vec<Quad>,
     /// Acceleration and rate from outside; empty if there is none.
     drives: Vec<Quad>,
+    /// Whether one of them has a rate.
+    damped: bool,
     /// Contact forces, and beyond the particles those on the first slab's images above the last.
     forces: Vec<Quad>,
     /// Contact torques, likewise.
@@ -281,6 +283,7 @@ impl Dem {
                 .map(|s| quad(s.spin, 10.0 / (mass(s) * s.diameter.powi(2))))
                 .collect(),
             drives: Vec::new(),
+            damped: false,
             forces: vec![Quad::default(); spheres.len()],
             torques: vec![Quad::default(); spheres.len()],
             touched: vec![false; spheres.len()],
@@ -318,6 +321,7 @@ impl Dem {
     }
 
     fn advance<const SEEN: bool>(&mut self, steps: u64) -> Result<(), StepError> {
+        self.damped = self.drives.iter().any(|drive| drive.0[3] != 0.0);
         for step in 0..steps {
             let kicks = if step == 0 { 1 } else { 2 };
             let fastest = self.kick_and_drift(kicks);

@@ -43,15 +43,20 @@ impl Bodies<'_> {
     }
 }
 
+/// Whether a drive has a rate: a kernel for each answer.
+#[derive(Clone, Copy)]
+struct Damped<const DAMPED: bool>;
+
 /// Kicks of the lengths `kicks` \[s\]: half a step after a drift, and half a step before the next. Both are
 /// done where one would do, so that steps made one by one give the bits of those made together.
 #[inline(always)]
-fn kick<const K: usize>(
+fn kick<const K: usize, const DAMPED: bool>(
     kicks: [f64; K],
     velocity: &mut Quad,
     spin: &mut Quad,
     load: Option<(&Quad, &Quad)>,
     drive: Option<&Quad>,
+    _damped: Damped<DAMPED>,
 ) {
     let lighter = velocity.0[3];
     // What is held is not driven.
@@ -66,7 +71,7 @@ fn kick<const K: usize>(
         for axis in 0..3 {
             velocity.0[axis] += kick * by[axis];
         }
-        if drive.is_some() {
+        if DAMPED && drive.is_some() {
             let damped = 1.0 / (1.0 + kick * rate);
             for axis in 0..3 {
                 velocity.0[axis] *= damped;
@@ -85,28 +90,48 @@ simd! {
     /// Kicks and moves particles, takes their forces off, and returns the largest square of a speed against
     /// `frame`, as bits: those of what is not a number are larger than any other. Forces and torques
     /// are looked at only where something touched: most memory is left alone.
-    fn advance[const K: usize](bodies: Bodies<'_>, kicks: [f64; K], dt: f64, frame: [f64; 3]) -> u64 {
+    fn advance[const K: usize, const DAMPED: bool](
+        bodies: Bodies<'_>,
+        kicks: [f64; K],
+        dt: f64,
+        frame: [f64; 3],
+        damped: Damped<DAMPED>,
+    ) -> u64 {
         let Bodies { positions, velocities, spins, forces, torques, touched, drives } = bodies;
         let n = positions.len();
         let (velocities, spins) = (&mut velocities[..n], &mut spins[..n]);
         let (forces, torques) = (&mut forces[..n], &mut torques[..n]);
         let touched = &mut touched[..n];
         let mut most = 0;
+        // All four numbers of a quad at once: the fourth stays what it is.
+        let step = [dt, dt, dt, 0.0];
+        let (frame, counts) = ([frame[0], frame[1], frame[2], 0.0], [1.0, 1.0, 1.0, 0.0]);
         for i in 0..n {
             let velocity = &mut velocities[i];
             let drive = drives.get(i);
-            if touched[i] {
-                kick(kicks, velocity, &mut spins[i], Some((&forces[i], &torques[i])), drive);
+            let was = touched[i];
+            if was {
+                let load = Some((&forces[i], &torques[i]));
+                kick(kicks, velocity, &mut spins[i], load, drive, damped);
                 (forces[i], torques[i], touched[i]) = (Quad::default(), Quad::default(), false);
-            } else if drive.is_some() {
-                kick(kicks, velocity, &mut spins[i], None, drive);
+            } else if DAMPED {
+                kick(kicks, velocity, &mut spins[i], None, drive, damped);
             }
-            let mut square = 0.0;
-            for axis in 0..3 {
-                positions[i].0[axis] += dt * velocity.0[axis];
-                let speed = velocity.0[axis] - frame[axis];
-                square += speed * speed;
+            // Whole quads, read before any is written, or it would be done number by number.
+            let (mut v, mut x) = (velocity.0, positions[i].0);
+            if let (Some(drive), false, false) = (drive, DAMPED, was) {
+                let by = drive.0;
+                let driven = if v[3] > 0.0 { 1.0 } else { 0.0 };
+                for kick in kicks {
+                    let kick = driven * kick;
+                    v = std::array::from_fn(|n| v[n] + kick * by[n]);
+                }
             }
+            x = std::array::from_fn(|n| x[n] + step[n] * v[n]);
+            (velocity.0, positions[i].0) = (v, x);
+            let speed: [f64; 4] = std::array::from_fn(|n| counts[n] * (v[n] - frame[n]));
+            let squares: [f64; 4] = std::array::from_fn(|n| speed[n] * speed[n]);
+            let square = (squares[0] + squares[2]) + (squares[1] + squares[3]);
             most = most.max(square.to_bits() & !SIGN);
         }
         most
@@ -122,27 +147,34 @@ simd! {
         let Bodies { velocities, spins, forces, torques, touched, drives, .. } = bodies;
         for i in 0..velocities.len() {
             let load = touched[i].then(|| (&forces[i], &torques[i]));
-            kick([half], &mut velocities[i], &mut spins[i], load, drives.get(i));
+            kick([half], &mut velocities[i], &mut spins[i], load, drives.get(i), Damped::<true>);
         }
     }
 }
 
 /// [`advance`] for all, in parts.
-fn advance_all(parallel: bool, bodies: Bodies, kicks: usize, dt: f64, frame: [f64; 3]) -> u64 {
+fn advance_all<const DAMPED: bool>(
+    parallel: bool,
+    bodies: Bodies,
+    kicks: usize,
+    dt: f64,
+    frame: [f64; 3],
+    damped: Damped<DAMPED>,
+) -> u64 {
     if bodies.positions.len() > CHUNK {
         let (first, second) = bodies.halves();
         let (first, second) = join(
             parallel,
-            || advance_all(parallel, first, kicks, dt, frame),
-            || advance_all(parallel, second, kicks, dt, frame),
+            || advance_all(parallel, first, kicks, dt, frame, damped),
+            || advance_all(parallel, second, kicks, dt, frame, damped),
         );
         return first.max(second);
     }
     let half = 0.5 * dt;
     if kicks == 1 {
-        advance(bodies, [half], dt, frame)
+        advance(bodies, [half], dt, frame, damped)
     } else {
-        advance(bodies, [half; 2], dt, frame)
+        advance(bodies, [half; 2], dt, frame, damped)
     }
 }
 
@@ -174,7 +206,12 @@ impl Dem {
     /// largest speed against the frame, not a number if one is not \[m/s\].
     pub(super) fn kick_and_drift(&mut self, kicks: usize) -> f64 {
         let (parallel, dt, frame) = (self.setup.parallel, self.dt, self.frame);
-        f64::from_bits(advance_all(parallel, self.bodies(), kicks, dt, frame)).sqrt()
+        let square = if self.damped {
+            advance_all(parallel, self.bodies(), kicks, dt, frame, Damped::<true>)
+        } else {
+            advance_all(parallel, self.bodies(), kicks, dt, frame, Damped::<false>)
+        };
+        f64::from_bits(square).sqrt()
     }
 
     /// Kicks by half a step: velocities are then those of the time that positions and forces are of.
