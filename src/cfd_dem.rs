@@ -24,7 +24,7 @@
 //! 6. what each particle is owed: drag by the new gas velocity, the new pressure, its weight.
 //!
 //! Drag is implicit in the gas, whose inertia among particles is little, and explicit in the particles,
-//! whose is not: λ Δt is at most [`EXCHANGE`]. Every exchange is one number with two signs: momentum, that which is owed included, is kept to
+//! whose is not: λ Δt is at most a fifth. Every exchange is one number with two signs: momentum, that which is owed included, is kept to
 //! round-off. It is stable while what pressure does to particles in a step is small against what it
 //! does to gas, φ² λ Δt/(1-φ)² < 1, which that limit sees to as well.
 

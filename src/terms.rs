@@ -48,7 +48,28 @@ pub fn terms(case: &Case) -> Vec<Term> {
     let transported = chosen.granular_energy == GranularEnergyChoice::Transport;
     let inertia = gas.density * (1.0 - least) / (powder.density * least);
     let diffusion = gas.viscosity / (gas.density * scales.terminal_velocity * scales.length_i());
-    vec![
+    let of_the_gas = [
+        Term {
+            name: "gas inertia",
+            on: chosen.gas_inertia,
+            why: format!("ρ_g (1-φ)/(ρ_s φ) = {inertia:.1e} at ⟨φ⟩ = {least}"),
+        },
+        Term {
+            name: "gas stress",
+            on: chosen.gas_stress,
+            why: format!("μ_g/(ρ_g u_t L_I) = {diffusion:.1e}"),
+        },
+    ];
+    if let Some(particles) = &case.particles {
+        let friction = particles.contact.friction;
+        let contacts = Term {
+            name: "friction of particles",
+            on: friction > 0.0,
+            why: format!("the coefficient is {friction}"),
+        };
+        return [contacts].into_iter().chain(of_the_gas).collect();
+    }
+    let of_the_solids = [
         Term {
             name: "frictional pressure",
             on: physics.friction != FrictionChoice::None,
@@ -64,17 +85,8 @@ pub fn terms(case: &Case) -> Vec<Term> {
             on: transported,
             why: format!("drag takes {:.2} u_t/g to damp fluctuations", memory / scales.time()),
         },
-        Term {
-            name: "gas inertia",
-            on: chosen.gas_inertia,
-            why: format!("ρ_g (1-φ)/(ρ_s φ) = {inertia:.1e} at ⟨φ⟩ = {least}"),
-        },
-        Term {
-            name: "gas stress",
-            on: chosen.gas_stress,
-            why: format!("μ_g/(ρ_g u_t L_I) = {diffusion:.1e}"),
-        },
-    ]
+    ];
+    of_the_solids.into_iter().chain(of_the_gas).collect()
 }
 
 fn is_viscous<F: Friction<f64>>(_: &F) -> bool {

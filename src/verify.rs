@@ -5,6 +5,7 @@
 //! is a function that returns rows; a row is one number, what it must be, and from where that is
 //! known.
 
+mod cfd_dem;
 mod cooling;
 mod decay;
 mod dem;
@@ -141,7 +142,7 @@ fn setup(solids_fraction: f64) -> Setup {
 }
 
 /// All checks.
-const CHECKS: [Check; 11] = [
+const CHECKS: [Check; 12] = [
     Check { name: "manufactured", run: manufactured::check },
     Check { name: "growth", run: growth::check },
     Check { name: "cooling", run: cooling::check },
@@ -153,6 +154,7 @@ const CHECKS: [Check; 11] = [
     Check { name: "moving-frame", run: symmetry::moving_frame },
     Check { name: "pressure", run: pressure::check },
     Check { name: "dem", run: dem::check },
+    Check { name: "cfd-dem", run: cfd_dem::check },
 ];
 
 /// What was verified.

@@ -3,8 +3,9 @@
 mod common;
 
 use common::{GAS, POWDER};
-use favre::case::{DragChoice, FrictionChoice, RadialDistributionChoice, Terms};
-use favre::dem::{Dem, SKIN, Setup, packed, thermal};
+use favre::case::{DragChoice, FrictionChoice, MappingChoice, RadialDistributionChoice, Terms};
+use favre::cfd_dem::{self, CfdDem};
+use favre::dem::{Dem, SKIN, Setup, lattice, packed, thermal};
 use favre::grid::Grid;
 use favre::laws::contact::Contact;
 use favre::two_fluid::{self, TwoFluid};
@@ -79,8 +80,44 @@ fn allocations_of_spheres() -> usize {
     ALLOCATIONS.get() - before
 }
 
+/// Steps of spheres in gas, spread over cells as far as it goes.
+fn allocations_of_spheres_in_gas() -> usize {
+    let setup = cfd_dem::Setup {
+        powder: POWDER,
+        gas: GAS,
+        gravity: 9.81,
+        drag: DragChoice::WenYu,
+        gas_inertia: true,
+        solids_fraction: 0.1,
+        contact: Contact {
+            stiffness: 3.0,
+            restitution: 0.9,
+            tangential_stiffness: 2.0 / 7.0,
+            tangential_damping: 0.5,
+            friction: 0.3,
+        },
+        steps_per_contact: 25.0,
+        mapping: MappingChoice::Divided,
+        smoothing: 1e-4,
+        rhythm: 1e-3,
+        seed: 1,
+        parallel: false,
+    };
+    let grid = Grid::new([2e-3, 2e-3, 4e-3], [8, 8, 16]);
+    // Falling side by side: lists of pairs, which grow as clusters do, stay as long as they are.
+    let spheres = lattice(grid.size(), [16, 16, 32], POWDER.diameter, POWDER.density).unwrap();
+    let mut flow = CfdDem::with_spheres(grid, setup, &spheres).unwrap();
+    flow.step(f64::INFINITY).unwrap();
+    let before = ALLOCATIONS.get();
+    for _ in 0..20 {
+        flow.step(f64::INFINITY).unwrap();
+    }
+    ALLOCATIONS.get() - before
+}
+
 #[test]
 fn a_step_allocates_nothing() {
+    assert_eq!(allocations_of_spheres_in_gas(), 0, "spheres in gas");
     assert_eq!(allocations_of_spheres(), 0, "spheres");
     assert_eq!(allocations_of_steps([32, 32]), 0, "2-D");
     assert_eq!(allocations_of_steps([8, 8, 16]), 0, "3-D");

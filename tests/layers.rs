@@ -14,8 +14,10 @@ const ALLOWED: &[(&str, &str)] = &[
     ("stencil", "real"),
     ("poisson", "field grid real rows"),
     ("laws", "real"),
-    ("two_fluid", "case field fine grid laws poisson real rows stencil"),
+    ("simulation", "fine"),
+    ("two_fluid", "case field fine grid laws poisson real rows simulation stencil"),
     ("dem", "laws rows"),
+    ("cfd_dem", "case dem field fine grid laws poisson rows simulation stencil"),
     ("fine", "grid"),
     ("filter", "grid"),
     ("lanes", ""),
@@ -33,7 +35,10 @@ const ALLOWED: &[(&str, &str)] = &[
     ("extrapolation", ""),
     ("replicates", "blocking filtered laws statistics table"),
     ("pool", "extrapolation laws replicates statistics sums table"),
-    ("simulate", "case filter fine grid laws real series spectral statistics stored two_fluid"),
+    (
+        "simulate",
+        "case cfd_dem filter fine grid laws real series simulation spectral statistics stored two_fluid",
+    ),
     ("stability", "case laws"),
     ("table", ""),
     ("forms", "expression"),
@@ -62,7 +67,7 @@ const ALLOWED: &[(&str, &str)] = &[
         "blocking case extrapolation filter filtered fine grid laws real rows series simulate statistics two_fluid",
     ),
     ("hard", "case grid laws real two_fluid"),
-    ("verify", "case dem field grid laws poisson real stability two_fluid"),
+    ("verify", "case cfd_dem dem field grid laws poisson real stability two_fluid"),
 ];
 
 /// Outside dependencies that only some modules may name.

@@ -1,6 +1,7 @@
 use super::*;
 use crate::dem::lattice;
 use crate::laws::scales::tests::{GAS, POWDER};
+use crate::rows::on_threads;
 
 /// The founding paper's powder, in cells of 3 1/3 d.
 fn setup(solids_fraction: f64) -> Setup {
@@ -154,13 +155,13 @@ fn a_box_goes_on_from_its_state_to_the_same_bits_whatever_the_threads() {
     assert_eq!(a.solids_stress, b.solids_stress);
     assert_eq!(a.drag_coefficient, b.drag_coefficient);
 
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
-    pool.install(|| {
+    on_threads(3, || {
         let mut shared = new(true);
         advance(&mut shared, 4e-3);
         advance(&mut shared, 8e-3);
         assert!(state(&shared) == expected);
-    });
+    })
+    .unwrap();
 
     for cut in [0, 10, kept.len() / 2, kept.len() - 1] {
         assert!(new(false).restore_state(&mut &kept[..cut]).is_err());

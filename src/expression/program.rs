@@ -223,21 +223,23 @@ impl Program {
     }
 }
 
-/// Powers and exponentials up to 2 to this, and down to its inverse, are computed several at once, to
-/// [`TOGETHER_ERROR`]; those beyond one by one.
-const TOGETHER: f64 = 64.0;
+/// Powers and exponentials that are 2 to no more than the last of these, or its inverse, are computed several at
+/// once, to [`TOGETHER_ERROR`]; those beyond one by one. So are those that are 2 to less than the first:
+/// of 1 - exp(x) at small x nothing but the last digit may be left.
+const TOGETHER: std::ops::RangeInclusive<f64> = 0.0625..=64.0;
 
 /// Relative error of powers and exponentials computed several at once.
 #[cfg(test)]
 const TOGETHER_ERROR: f64 = 2e-14;
 
 simd! {
-    /// `out` = a^b where a is positive and normal and the result within [`TOGETHER`], else NaN.
+    /// `out` = a^b where a is positive and normal and the result among [`TOGETHER`], else NaN.
     fn moderate_powers[](a: &[f64], b: &[f64], out: &mut [f64]) {
         for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
             let exponent = *b * Real::log2(*a);
-            let moderate =
-                (*a >= f64::MIN_POSITIVE) & (*a <= f64::MAX) & (exponent.abs() <= TOGETHER);
+            let moderate = (*a >= f64::MIN_POSITIVE)
+                & (*a <= f64::MAX)
+                & TOGETHER.contains(&exponent.abs());
             let power = Real::exp2(f64::select(moderate, exponent, 0.0));
             *out = f64::select(moderate, power, f64::NAN);
         }
@@ -245,11 +247,11 @@ simd! {
 }
 
 simd! {
-    /// `out` = e^a within [`TOGETHER`], else NaN.
+    /// `out` = e^a where that is among [`TOGETHER`], else NaN.
     fn moderate_exponentials[](a: &[f64], out: &mut [f64]) {
         for (out, a) in out.iter_mut().zip(a) {
             let exponent = *a * std::f64::consts::LOG2_E;
-            let moderate = exponent.abs() <= TOGETHER;
+            let moderate = TOGETHER.contains(&exponent.abs());
             let power = Real::exp2(f64::select(moderate, exponent, 0.0));
             *out = f64::select(moderate, power, f64::NAN);
         }
@@ -579,7 +581,9 @@ mod tests {
             let found = compiled("x^y").unwrap().at(&[x, y]);
             assert_eq!(found.to_bits(), f64::powf(x, y).to_bits(), "{x}^{y}");
         }
-        for x in [-800.0, -50.0, 50.0, 710.0, f64::INFINITY, f64::NEG_INFINITY, f64::NAN] {
+        for x in
+            [-800.0, -50.0, 50.0, 710.0, 1e-9, -0.03, f64::INFINITY, f64::NEG_INFINITY, f64::NAN]
+        {
             let found = compiled("exp(x)").unwrap().at(&[x, 0.0]);
             assert_eq!(found.to_bits(), x.exp().to_bits(), "e^{x}");
         }
