@@ -47,6 +47,7 @@ Examples:
   favre filter favre-out/seed-* --out all           of several seeds; a pool can be pooled again
   favre simulate my-powder.toml --out trial         a run that keeps its fields, as .vti
   favre filter trial/fields_0.15                    the same bins again, from the snapshots
+  favre filter trial/fields_0.15 --fields vti       and filtered fields beside them, for ParaView
   favre filter case --map map.toml                  all times of an OpenFOAM case
   favre filter out_*.vtu --map map.toml             as the map names the arrays
   favre filter gas_*.vti parts_*.csv --map map.toml particles, deposited on the gas's grid
@@ -240,6 +241,15 @@ pub struct Run {
     pub duration: Option<String>,
 }
 
+/// The formats of filtered fields.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum FieldFiles {
+    /// VTK image data, one file per instant and width, and a series
+    Vti,
+    /// VTKHDF, one file per width with all times
+    Vtkhdf,
+}
+
 /// `favre filter`.
 #[derive(Args, Debug)]
 #[command(after_help = FILTER_EXAMPLES)]
@@ -253,6 +263,13 @@ pub struct Filter {
     /// Take statistics of fields from this time on [s]
     #[arg(long, value_name = "T", allow_hyphen_values = true)]
     pub from: Option<f64>,
+    /// Filter widths of fields, instead of those of the case or the map [m]
+    #[arg(long, value_name = "W,W", value_delimiter = ',')]
+    pub widths: Vec<f64>,
+    /// Write the filtered fields too: vti files with a pvd series per width, or a vtkhdf file per width
+    /// and one of the resolved fields
+    #[arg(long, value_name = "FORMAT")]
+    pub fields: Option<FieldFiles>,
     /// Of runs on several grids, the order of convergence [default: the one that shows, else 1]
     #[arg(long, value_name = "P", allow_hyphen_values = true, value_parser = order)]
     pub grid_order: Option<f64>,

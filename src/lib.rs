@@ -27,6 +27,7 @@ pub mod blocking;
 pub mod extrapolation;
 pub mod filter;
 pub mod filtered;
+pub mod filtered_fields;
 pub mod moments;
 pub mod refit;
 pub mod replicates;

@@ -20,6 +20,7 @@ use favre::closure::{Closure, ClosureError};
 use favre::export;
 use favre::hard;
 use favre::output::{Output, beside, write_whole};
+use favre::pipeline::fields::{FieldFormat, FilterOptions};
 use favre::pipeline::{self, RunError, RunOptions};
 use favre::pool::Pool;
 use favre::report::REPORT_FILE;
@@ -187,6 +188,11 @@ fn command_to_go_on(args: &cli::Run, command: &str) -> String {
 
 fn filter(args: &cli::Filter) -> Result<(), Failure> {
     if args.paths.iter().any(|path| is_sums(path)) {
+        if args.fields.is_some() || !args.widths.is_empty() {
+            let message = "--fields and --widths filter fields, and sums of a run are what is left of \
+                           them: give the run's snapshots, such as trial/fields_0.15";
+            return Err(Failure::misuse(message));
+        }
         return pool(args);
     }
     let map = match &args.map {
@@ -198,15 +204,17 @@ fn filter(args: &cli::Filter) -> Result<(), Failure> {
     let output = Output::create(dir, args.force).map_err(Failure::misuse)?;
     interrupt.partial.get_or_init(|| output.partial().to_owned());
     let options = RunOptions { threads: args.threads.map_or(0, usize::from), quiet: args.quiet };
-    let found = pipeline::fields::filter(
-        &args.paths,
-        &map,
-        args.from,
-        args.grid_order,
-        &output,
-        &options,
-        &interrupt.stop,
-    );
+    let asked = FilterOptions {
+        from: args.from,
+        order: args.grid_order,
+        widths: (!args.widths.is_empty()).then(|| args.widths.clone()),
+        fields: args.fields.map(|fields| match fields {
+            cli::FieldFiles::Vti => FieldFormat::Vti,
+            cli::FieldFiles::Vtkhdf => FieldFormat::Vtkhdf,
+        }),
+    };
+    let found =
+        pipeline::fields::filter(&args.paths, &map, &asked, &output, &options, &interrupt.stop);
     let found = found.map_err(|error| match error {
         RunError::Stopped => Failure { status: INTERRUPTED, error: error.into() },
         // What was given cannot be filtered.

@@ -202,6 +202,16 @@ impl<const D: usize> Positions<D> {
         self.len() == 0
     }
 
+    /// Positions along each axis.
+    pub fn shape(&self) -> [usize; D] {
+        self.shape
+    }
+
+    /// Distance between positions along each axis \[cells\].
+    pub fn step(&self) -> [usize; D] {
+        std::array::from_fn(|axis| self.step[axis] * self.block[axis])
+    }
+
     /// Place of the first cell of the box at position `n` in a field of `cells`.
     fn cell(&self, n: usize, cells: [usize; D]) -> usize {
         let first = self.first_cell(n);

@@ -6,6 +6,7 @@
 //! for many files in the order of time. [`write`](mod@write) writes what the filter was given in flight, in double precision, so
 //! that bins from disk are those of the flight.
 
+pub mod hdf;
 pub mod map;
 pub mod numpy;
 pub mod openfoam;
@@ -13,6 +14,7 @@ pub mod particles;
 pub mod series;
 pub mod vtk;
 pub mod write;
+pub mod xml;
 
 use crate::stored::StoredFields;
 use std::io;

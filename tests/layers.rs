@@ -28,6 +28,7 @@ const ALLOWED: &[(&str, &str)] = &[
     ("series", "blocking"),
     ("statistics", "blocking filter filtered fine grid lanes laws moments rows spectral table"),
     ("stored", "filter fine grid laws spectral statistics"),
+    ("filtered_fields", "filter filtered fine grid laws moments spectral stored"),
     ("expression", "real rows"),
     ("resolved", "case expression fine stored"),
     ("binary", ""),
@@ -60,7 +61,7 @@ const ALLOWED: &[(&str, &str)] = &[
     ("terms", "case laws"),
     (
         "pipeline",
-        "bench case checkpoint closure compare figure fine fit forms laws model output pool progress refit report resolved series simulate stability statistics stored summary sums table",
+        "bench case checkpoint closure compare figure filtered_fields fine fit forms laws model output pool progress refit report resolved series simulate stability statistics stored summary sums table",
     ),
     (
         "bench",
@@ -83,6 +84,7 @@ const RESERVED: &[(&str, &str)] = &[
     ("base64", "resolved report"),
     ("maud", "report"),
     ("flate2", "resolved"),
+    ("hdf5_writer", "resolved"),
 ];
 
 fn source() -> PathBuf {

@@ -3,19 +3,24 @@
 use super::{RunError, RunOptions, sums_system};
 use crate::case::{Case, FieldsChoice};
 use crate::checkpoint::Checkpoints;
+use crate::filtered_fields::{FieldFilter, FilteredArray, FilteredFields};
+use crate::laws::drag::DragLaw;
 use crate::output::{Output, OutputError, RUN_FILE};
 use crate::pool::Pool;
 use crate::pool::grids::Grids;
 use crate::resolved::Resolved;
+use crate::resolved::hdf::ImageSeries;
 use crate::resolved::map::Map;
 use crate::resolved::series::{Instant, Reader, runs};
-use crate::resolved::write::{Recorder, write_series};
+use crate::resolved::write::{Recorder, image};
+use crate::resolved::xml::{Image, Named, write_image, write_series};
 use crate::simulate::{Signals, samples, stored_sampling};
 use crate::statistics::Sums;
-use crate::stored::{StoredFields, StoredSampler};
+use crate::stored::{StoredError, StoredFields, StoredSampler, StoredSampling};
 use crate::sums::{RunSums, SUMS_FILE, SumsFile};
 use crate::table::write_rows;
 use serde::Serialize;
+use std::borrow::Cow;
 use std::fmt;
 use std::fs;
 use std::io::{self, Write};
@@ -27,6 +32,29 @@ const FEW_INSTANTS: usize = 20;
 
 /// Blocks of space along each axis then.
 const SPACE_BLOCKS: usize = 2;
+
+/// In what the filtered fields are written, beside the bins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FieldFormat {
+    /// A .vti file per instant and width, and a .pvd series of each width.
+    Vti,
+    /// A .vtkhdf file per width, and one of the resolved fields.
+    Vtkhdf,
+}
+
+/// What [`filter`] is asked for.
+#[derive(Clone, Debug, Default)]
+pub struct FilterOptions {
+    /// Time from which on statistics are taken \[s\]; without it from where a run of Favre's became
+    /// steady, and of other fields from the first instant on.
+    pub from: Option<f64>,
+    /// As for [`Pool::read`].
+    pub order: Option<f64>,
+    /// Filter widths \[m\], instead of the case's.
+    pub widths: Option<Vec<f64>>,
+    /// Whether to write the filtered fields too, and how.
+    pub fields: Option<FieldFormat>,
+}
 
 /// What filtering fields found.
 #[derive(Clone, Debug, Serialize)]
@@ -69,16 +97,14 @@ pub struct RunRead {
 }
 
 /// Filters the fields at `paths`, read as `map` says, and fills `output`, which the caller commits.
-/// Statistics are taken from `from` \[s\] on; without it from where a run of Favre's became steady, and
-/// of other fields from the first instant on. `order` is as for [`Pool::read`]. Ends early once `stop` is set.
+/// Ends early once `stop` is set.
 ///
 /// # Errors
 /// Fields or the case are not acceptable, `stop` was set, or a file cannot be written.
 pub fn filter(
     paths: &[PathBuf],
     map: &Map,
-    from: Option<f64>,
-    order: Option<f64>,
+    asked: &FilterOptions,
     output: &Output,
     options: &RunOptions,
     stop: &AtomicBool,
@@ -89,8 +115,14 @@ pub fn filter(
     let mut case = None;
     let (mut sums, mut read) = (Vec::new(), Vec::new());
     let mut warnings = Vec::new();
-    for instants in runs(paths, map)?.iter().filter(|instants| !instants.is_empty()) {
-        let one = pool.install(|| sample(instants, map, from, stop, &mut warnings))?;
+    let runs = runs(paths, map)?;
+    let several = runs.len() > 1;
+    for (n, instants) in runs.iter().filter(|instants| !instants.is_empty()).enumerate() {
+        let prefix = if several { format!("{}-", n + 1) } else { String::new() };
+        let mut writer = asked.fields.map(|format| FieldWriter::new(format, prefix, output));
+        let one =
+            pool.install(|| sample(instants, map, asked, writer.as_mut(), stop, &mut warnings))?;
+        writer.map_or(Ok(()), FieldWriter::finish)?;
         sums.push(one.0);
         read.push(one.1);
         case = case.or(Some(one.2));
@@ -103,7 +135,8 @@ pub fn filter(
         solids_fraction: run.solids_fraction,
         sums,
     });
-    let pool = Pool::new(SumsFile { system: sums_system(&case), runs: runs.collect() }, order)?;
+    let pool =
+        Pool::new(SumsFile { system: sums_system(&case), runs: runs.collect() }, asked.order)?;
     output.write("case.toml", |file| file.write_all(case.to_toml().as_bytes()))?;
     output.write("bins.csv", |file| write_rows(&pool.bins, file).map_err(io::Error::other))?;
     output.write(SUMS_FILE, |file| pool.file.write(file))?;
@@ -127,13 +160,14 @@ pub fn filter(
 fn sample(
     instants: &[Instant],
     map: &Map,
-    from: Option<f64>,
+    asked: &FilterOptions,
+    mut writer: Option<&mut FieldWriter>,
     stop: &AtomicBool,
     warnings: &mut Vec<String>,
 ) -> Result<(Sums, RunRead, Case), RunError> {
     let interval = interval(instants);
     let mut reader = Reader::new(map);
-    let mut sampler = None;
+    let (mut sampler, mut case): (_, Option<Case>) = (None, None);
     let mut signals = Signals::default();
     let mut own = true;
     let (mut fraction, mut shape) = (0.0, None);
@@ -142,7 +176,14 @@ fn sample(
             return Err(RunError::Stopped);
         }
         let resolved = reader.read(instant, interval)?;
-        let Some(case) = reader.case() else { return Err(RunError::NoFields) };
+        let Some(read) = reader.case() else { return Err(RunError::NoFields) };
+        let case = case.get_or_insert_with(|| {
+            let mut case = read.clone();
+            if let Some(widths) = &asked.widths {
+                case.filter.widths.clone_from(widths);
+            }
+            case
+        });
         let path = resolved.path.clone();
         let refuse = |source| RunError::Stored { path: path.clone(), source };
         own &= resolved.case.is_some();
@@ -168,15 +209,20 @@ fn sample(
                     }
                 }
                 let law = || case.physics.drag.law(&case.gas, &case.powder);
+                if let Some(writer) = &mut writer {
+                    writer.begin(&resolved.fields, law(), &sampling).map_err(refuse)?;
+                }
                 sampler.insert(StoredSampler::new(&resolved.fields, law, sampling).map_err(refuse)?)
             }
         };
         sampler.sample(&resolved.fields).map_err(refuse)?;
+        if let Some(writer) = &mut writer {
+            writer.write(&resolved.fields, &refuse)?;
+        }
         let StoredFields { cells, spacing, periodic, .. } = resolved.fields;
         shape.get_or_insert((cells, spacing, periodic));
     }
-    let (Some(sampler), Some(case), Some((cells, spacing, periodic))) =
-        (sampler, reader.case(), shape)
+    let (Some(sampler), Some(case), Some((cells, spacing, periodic))) = (sampler, case, shape)
     else {
         return Err(RunError::NoFields);
     };
@@ -185,7 +231,7 @@ fn sample(
     let step = case.run.sample_interval;
     let due = |(n, time): (usize, &f64)| (time / step - n as f64).abs() < 1e-6 * (n as f64 + 1.0);
     let complete = own && signals.time.iter().enumerate().all(due);
-    let start = from.or(complete.then(|| signals.start().0));
+    let start = asked.from.or(complete.then(|| signals.start().0));
     let mut sums = sampler.into_sums();
     // A block that began before is not whole; without a start there is none.
     if let Some(start) = start {
@@ -205,7 +251,136 @@ fn sample(
         periodic,
         solids_fraction: fraction,
     };
-    Ok((sums, run, case.clone()))
+    Ok((sums, run, case))
+}
+
+/// Writes the filtered fields of one run.
+struct FieldWriter<'a> {
+    format: FieldFormat,
+    /// What the names of its files begin with.
+    prefix: String,
+    output: &'a Output,
+    filter: Option<FieldFilter>,
+    /// The resolved fields, and those of each width.
+    series: Vec<ImageSeries>,
+    /// Times and names of the files of each width.
+    files: Vec<Vec<(f64, String)>>,
+    widths: Vec<f64>,
+}
+
+impl<'a> FieldWriter<'a> {
+    fn new(format: FieldFormat, prefix: String, output: &'a Output) -> Self {
+        let (filter, series, files) = (None, vec![], vec![]);
+        Self { format, prefix, output, filter, series, files, widths: vec![] }
+    }
+
+    /// Name of what belongs to width number `width`.
+    fn name(&self, width: usize) -> String {
+        format!("{}filtered_{}", self.prefix, self.widths[width])
+    }
+
+    fn begin(
+        &mut self,
+        first: &StoredFields,
+        law: Box<dyn DragLaw<f64>>,
+        sampling: &StoredSampling,
+    ) -> Result<(), StoredError> {
+        self.filter = Some(FieldFilter::new(first, law, sampling.clone())?);
+        self.widths.clone_from(&sampling.widths);
+        self.files = vec![vec![]; self.widths.len()];
+        self.series = vec![ImageSeries::default(); self.widths.len() + 1];
+        Ok(())
+    }
+
+    fn refuse(&self, name: &str) -> impl FnOnce(io::Error) -> RunError {
+        let path = self.output.dir().join(name);
+        |source| RunError::Output(OutputError::Write { path, source })
+    }
+
+    fn write(
+        &mut self,
+        fields: &StoredFields,
+        refuse: &dyn Fn(StoredError) -> RunError,
+    ) -> Result<(), RunError> {
+        let Some(filter) = &mut self.filter else { return Ok(()) };
+        let filtered = filter.filter(fields).map_err(refuse)?;
+        if self.format == FieldFormat::Vtkhdf {
+            let added = match fields.cells.len() {
+                2 => add_resolved::<2>(filter, fields, &mut self.series[0]),
+                _ => add_resolved::<3>(filter, fields, &mut self.series[0]),
+            };
+            added.map_err(refuse)?.map_err(self.refuse("resolved.vtkhdf"))?;
+        }
+        for (width, filtered) in filtered.iter().enumerate() {
+            let image = filtered_image(filtered);
+            let folder = self.name(width);
+            if self.format == FieldFormat::Vtkhdf {
+                self.series[width + 1].push(&image).map_err(self.refuse(&folder))?;
+                continue;
+            }
+            let name = format!("{folder}/{:06}.vti", self.files[width].len() + 1);
+            let whole = self.output.partial();
+            fs::create_dir_all(whole.join(&folder))
+                .and_then(|()| write_image(&whole.join(&name), &image))
+                .map_err(self.refuse(&name))?;
+            self.files[width].push((fields.time, name));
+        }
+        Ok(())
+    }
+
+    fn finish(mut self) -> Result<(), RunError> {
+        for (n, series) in std::mem::take(&mut self.series).into_iter().enumerate() {
+            let name = match n {
+                0 => format!("{}resolved.vtkhdf", self.prefix),
+                n => format!("{}.vtkhdf", self.name(n - 1)),
+            };
+            series.write(&self.output.partial().join(&name)).map_err(self.refuse(&name))?;
+        }
+        for (width, files) in std::mem::take(&mut self.files).into_iter().enumerate() {
+            if self.format == FieldFormat::Vti {
+                let name = format!("{}.pvd", self.name(width));
+                self.output.write(&name, |file| write_series(file, files.into_iter()))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Adds `fields` as they were resolved to `series`, without those that are missing.
+fn add_resolved<const D: usize>(
+    filter: &FieldFilter,
+    fields: &StoredFields,
+    series: &mut ImageSeries,
+) -> Result<io::Result<()>, StoredError> {
+    let fine = fields.fine::<D>(filter.law())?;
+    let mut image = image(&fine);
+    image.arrays.retain(|array| !array.components[0].iter().all(|value| value.is_nan()));
+    Ok(series.push(&image))
+}
+
+/// Filtered fields as an image; a vector has three components, and an axis that is not there no cell.
+fn filtered_image(filtered: &FilteredFields) -> Image<'_> {
+    let axes = filtered.positions.len();
+    fn triple<T: Copy>(values: &[T], rest: T) -> [T; 3] {
+        std::array::from_fn(|axis| values.get(axis).copied().unwrap_or(rest))
+    }
+    fn named(array: &FilteredArray) -> Named<'_> {
+        let FilteredArray { name, unit, components } = array;
+        let mut all: Vec<Cow<[f64]>> = components.iter().map(|list| list.into()).collect();
+        if all.len() == 2 {
+            all.push(vec![0.0; components[0].len()].into());
+        }
+        Named { name: (*name).into(), unit, components: all }
+    }
+    Image {
+        cells: triple(&filtered.positions, 0),
+        spacing: triple(&filtered.spacing, 1.0),
+        origin: triple(&filtered.origin, 0.0),
+        time: filtered.time,
+        periodic: triple(&filtered.periodic, false),
+        vertical: axes - 1,
+        arrays: filtered.arrays.iter().map(named).collect(),
+    }
 }
 
 /// Median time from one instant to the next \[s\]; 1 of a single one.

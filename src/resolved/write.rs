@@ -2,15 +2,16 @@
 //!
 //! Everything of [`FineFields`] is written, at cell centres, to the last bit; with it the grid, the
 //! time, the case as text (all of it but its duration), and the means of the box that say when it became
-//! steady. A file appears by a rename, complete and on disk, or not at all.
+//! steady.
 
 use super::map::vtk_index;
 use super::numpy::NpzWriter;
+use super::xml::{Image, Named, field_data, write_vti, write_whole};
 use crate::case::{Case, FieldsChoice};
 use crate::fine::{FineFields, symmetric_index};
 use std::borrow::Cow;
-use std::fs::{self, File};
-use std::io::{self, BufWriter, Seek, Write};
+use std::fs;
+use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};
 
 /// Duration that the case in a snapshot gives, in sample intervals: the shortest that is accepted.
@@ -44,12 +45,8 @@ pub struct Companions<'a> {
     pub signals: [[f64; 4]; 2],
 }
 
-/// A field by its name, with its components along x, y and z where it is a vector, and in VTK's order
-/// where it is a symmetric tensor.
-type Named<'a> = (&'static str, Vec<Cow<'a, [f64]>>);
-
 /// The fields in the order in which they are written; axes that are not simulated hold zeros.
-fn named<const D: usize>(fine: &FineFields<D>) -> Vec<Named<'_>> {
+pub fn named<const D: usize>(fine: &FineFields<D>) -> Vec<Named<'_>> {
     fn scalar(field: &[f64]) -> Vec<Cow<'_, [f64]>> {
         vec![Cow::Borrowed(field)]
     }
@@ -64,16 +61,31 @@ fn named<const D: usize>(fine: &FineFields<D>) -> Vec<Named<'_>> {
             stress[vtk_index(i, j)] = Cow::Borrowed(&fine.solids_stress[symmetric_index(i, j)]);
         }
     }
+    let array =
+        |name: &'static str, unit, components| Named { name: name.into(), unit, components };
     vec![
-        ("solids_fraction", scalar(&fine.solids_fraction)),
-        ("solids_velocity", vector(&fine.solids_velocity)),
-        ("gas_velocity", vector(&fine.gas_velocity)),
-        ("pressure_gradient", vector(&fine.pressure_gradient)),
-        ("drag_coefficient", scalar(&fine.drag_coefficient)),
-        ("granular_temperature", scalar(&fine.granular_temperature)),
-        ("solids_pressure", scalar(&fine.solids_pressure)),
-        ("solids_stress", stress),
+        array("solids_fraction", "-", scalar(&fine.solids_fraction)),
+        array("solids_velocity", "m/s", vector(&fine.solids_velocity)),
+        array("gas_velocity", "m/s", vector(&fine.gas_velocity)),
+        array("pressure_gradient", "Pa/m", vector(&fine.pressure_gradient)),
+        array("drag_coefficient", "kg/m³/s", scalar(&fine.drag_coefficient)),
+        array("granular_temperature", "m²/s²", scalar(&fine.granular_temperature)),
+        array("solids_pressure", "Pa", scalar(&fine.solids_pressure)),
+        array("solids_stress", "Pa", stress),
     ]
+}
+
+/// The fields as an image.
+pub fn image<const D: usize>(fine: &FineFields<D>) -> Image<'_> {
+    Image {
+        cells: triple(fine.grid.cells, 0),
+        spacing: triple(fine.grid.spacing, 1.0),
+        origin: [0.0; 3],
+        time: fine.time,
+        periodic: triple(fine.periodic, false),
+        vertical: D - 1,
+        arrays: named(fine),
+    }
 }
 
 /// Writes `fine` to the file `path`.
@@ -86,97 +98,22 @@ pub fn write<const D: usize>(
     fine: &FineFields<D>,
     companions: &Companions,
 ) -> io::Result<()> {
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(".partial");
-    let partial = Path::new(&partial);
-    let result = File::create(partial)
-        .and_then(|file| {
-            let to = BufWriter::with_capacity(1 << 18, file);
-            match format {
-                Format::Vti => write_vti(to, fine, companions),
-                Format::Npz => write_npz(to, fine, companions),
-            }
-        })
-        .and_then(|to| to.into_inner().map_err(|error| error.into_error()))
-        .and_then(|file| file.sync_all())
-        .and_then(|()| fs::rename(partial, path));
-    if result.is_err() {
-        let _ = fs::remove_file(partial);
-    }
-    result
+    write_whole(path, |to| match format {
+        Format::Vti => {
+            let text: Vec<String> = companions.case.bytes().map(|byte| byte.to_string()).collect();
+            let signals: Vec<String> =
+                companions.signals.iter().flatten().map(|value| format!("{value:?}")).collect();
+            let more = field_data("Float64", "signals", 8, &signals.join(" "))
+                + &field_data("UInt8", "case", text.len(), &text.join(" "));
+            write_vti(to, &image(fine), &more)
+        }
+        Format::Npz => write_npz(to, fine, companions),
+    })
 }
 
 /// Two or three numbers as VTK's three.
 fn triple<const D: usize, T: Copy>(values: [T; D], rest: T) -> [T; 3] {
     std::array::from_fn(|axis| if axis < D { values[axis] } else { rest })
-}
-
-/// Writes .vti: cell data, appended raw, little-endian, headers of eight bytes.
-fn write_vti<const D: usize, W: Write>(
-    mut to: W,
-    fine: &FineFields<D>,
-    companions: &Companions,
-) -> io::Result<W> {
-    let fields = named(fine);
-    let count = fine.grid.len();
-    let cells = triple(fine.grid.cells, 0);
-    let spacing = triple(fine.grid.spacing, 1.0);
-    let extent = cells.map(|n| format!("0 {n}")).join(" ");
-    let join = |values: &[f64]| {
-        values.iter().map(|value| format!("{value:?}")).collect::<Vec<_>>().join(" ")
-    };
-    let periodic = triple(fine.periodic, false).map(|axis| u8::from(axis).to_string()).join(" ");
-    let text = companions.case.bytes().map(|byte| byte.to_string()).collect::<Vec<_>>().join(" ");
-    let [now, start] = companions.signals.each_ref().map(|values| join(values));
-    writeln!(
-        to,
-        "<?xml version=\"1.0\"?>\n\
-         <VTKFile type=\"ImageData\" version=\"1.0\" byte_order=\"LittleEndian\" \
-         header_type=\"UInt64\">\n\
-         <ImageData WholeExtent=\"{extent}\" Origin=\"0 0 0\" Spacing=\"{}\">\n\
-         <FieldData>\n\
-         <DataArray type=\"Float64\" Name=\"TimeValue\" NumberOfTuples=\"1\" format=\"ascii\">\
-         {:?}</DataArray>\n\
-         <DataArray type=\"UInt8\" Name=\"periodic\" NumberOfTuples=\"3\" format=\"ascii\">\
-         {periodic}</DataArray>\n\
-         <DataArray type=\"UInt8\" Name=\"vertical\" NumberOfTuples=\"1\" format=\"ascii\">\
-         {}</DataArray>\n\
-         <DataArray type=\"Float64\" Name=\"signals\" NumberOfTuples=\"8\" format=\"ascii\">\
-         {now} {start}</DataArray>\n\
-         <DataArray type=\"UInt8\" Name=\"case\" NumberOfTuples=\"{}\" format=\"ascii\">\
-         {text}</DataArray>\n\
-         </FieldData>\n\
-         <Piece Extent=\"{extent}\">\n\
-         <CellData Scalars=\"solids_fraction\" Vectors=\"solids_velocity\">",
-        join(&spacing),
-        fine.time,
-        D - 1,
-        companions.case.len(),
-    )?;
-    let mut offset = 0;
-    for (name, components) in &fields {
-        let number = components.len();
-        writeln!(
-            to,
-            "<DataArray type=\"Float64\" Name=\"{name}\" NumberOfComponents=\"{number}\" \
-             format=\"appended\" offset=\"{offset}\"/>"
-        )?;
-        offset += 8 + 8 * count * number;
-    }
-    write!(
-        to,
-        "</CellData>\n<PointData/>\n</Piece>\n</ImageData>\n<AppendedData encoding=\"raw\">\n_"
-    )?;
-    for (_, components) in &fields {
-        to.write_all(&(8 * (count * components.len()) as u64).to_le_bytes())?;
-        for cell in 0..count {
-            for component in components {
-                to.write_all(&component[cell].to_le_bytes())?;
-            }
-        }
-    }
-    write!(to, "\n</AppendedData>\n</VTKFile>\n")?;
-    Ok(to)
 }
 
 /// Writes .npz: arrays of shape (z, y, x), of vectors (component, z, y, x).
@@ -187,7 +124,7 @@ fn write_npz<const D: usize, W: Write + Seek>(
 ) -> io::Result<W> {
     let mut zip = NpzWriter::new(to);
     let shape: Vec<usize> = fine.grid.cells.iter().rev().copied().collect();
-    for (name, components) in named(fine) {
+    for Named { name, components, .. } in named(fine) {
         // A vector has as many components as there are axes, a tensor all six.
         let components = match components.len() {
             3 => &components[..D],
@@ -198,7 +135,7 @@ fn write_npz<const D: usize, W: Write + Seek>(
         if parts.len() > 1 {
             whole.insert(0, parts.len());
         }
-        zip.numbers(name, &whole, &parts)?;
+        zip.numbers(&name, &whole, &parts)?;
     }
     let flags = fine.periodic.map(|axis| f64::from(u8::from(axis)));
     let [now, start] = companions.signals;
@@ -312,23 +249,4 @@ impl Recorder {
     fn name(&self, sample: u64) -> String {
         format!("{sample:06}.{}", self.format.extension())
     }
-}
-
-/// Writes the series (.pvd) of `files`, each with its time \[s\].
-///
-/// # Errors
-/// Those of `to`.
-pub fn write_series(
-    to: &mut dyn Write,
-    files: impl Iterator<Item = (f64, String)>,
-) -> io::Result<()> {
-    writeln!(
-        to,
-        "<?xml version=\"1.0\"?>\n\
-         <VTKFile type=\"Collection\" version=\"1.0\" byte_order=\"LittleEndian\">\n<Collection>"
-    )?;
-    for (time, file) in files {
-        writeln!(to, "<DataSet timestep=\"{time:?}\" part=\"0\" file=\"{file}\"/>")?;
-    }
-    writeln!(to, "</Collection>\n</VTKFile>")
 }
