@@ -638,6 +638,9 @@ impl Simulation<3> for CfdDem {
     fn fields(&self, fine: &mut FineFields<3>) {
         self.fields(fine);
     }
+    fn particles(&self) -> Option<Vec<dem::Sphere>> {
+        Some(self.dem.spheres())
+    }
     fn uniform_slip(&self) -> f64 {
         self.uniform_slip()
     }

@@ -627,7 +627,7 @@ mod tests {
             |_, _| {},
             None,
             |_, _| {},
-            |_, _, _| Ok(()),
+            |_, _, _, _| Ok(()),
         )
         .unwrap()
     }
@@ -657,7 +657,7 @@ mod tests {
             |signals, _| sampled.set(signals.time.len() - 1),
             kept,
             |moment, underway| keeper.keep(moment, underway).unwrap(),
-            |_, _, _| Ok(()),
+            |_, _, _, _| Ok(()),
         )
     }
 

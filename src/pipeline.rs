@@ -25,7 +25,7 @@ use crate::resolved::ResolvedError;
 use crate::resolved::series::SeriesError;
 use crate::resolved::write::{RecordError, Recorder};
 use crate::simulate::{
-    Signals, SimulateError, Simulated, Underway, cfd_dem, simulate_from, two_fluid,
+    Particles, Signals, SimulateError, Simulated, Underway, cfd_dem, simulate_from, two_fluid,
 };
 use crate::stability::{self, Stability, StabilityError};
 use crate::statistics::{MergeError, Sums, bin_table};
@@ -374,9 +374,13 @@ fn simulate_box(
     }
     macro_rules! simulate {
         ($flow:expr, $dimension:literal) => {{
-            let record = |sample, fine: &FineFields<$dimension>, signals: &Signals| match &recorder
-            {
-                Some(recorder) => Ok(recorder.record(sample, fine, |n| signals.values(n))?),
+            let record = |sample,
+                          fine: &FineFields<$dimension>,
+                          signals: &Signals,
+                          particles: &Particles<'_>| match &recorder {
+                Some(recorder) => {
+                    Ok(recorder.record(sample, fine, |n| signals.values(n), particles)?)
+                }
                 None => Ok(()),
             };
             simulate_from($flow, case, fraction, parallel, stop, watch, kept, keep, record)

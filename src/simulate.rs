@@ -2,6 +2,7 @@
 
 use crate::case::{Case, Drive, EdgesChoice, FilterCase, KernelChoice, MarkerChoice};
 use crate::cfd_dem::{self, CfdDem};
+use crate::dem::Sphere;
 use crate::filter::FilterError;
 use crate::fine::FineFields;
 use crate::grid::Grid;
@@ -377,17 +378,20 @@ pub fn simulate<const D: usize>(
     stop: &dyn Fn() -> bool,
     watch: impl FnMut(&Signals, Pace),
 ) -> Result<Simulated, SimulateError> {
-    let record = |_: u64, _: &FineFields<D>, _: &Signals| Ok(());
+    let record = |_: u64, _: &FineFields<D>, _: &Signals, _: &Particles<'_>| Ok(());
     simulate_from(flow, case, solids_fraction, parallel, stop, watch, None, |_, _| {}, record)
 }
 
 /// Why fields could not be recorded.
 pub type RecordError = Box<dyn std::error::Error + Send + Sync>;
 
+/// Gives the particles of a simulation, if it follows them one by one.
+pub type Particles<'a> = dyn Fn() -> Option<Vec<Sphere>> + 'a;
+
 /// [`simulate`] from what was `kept` of the same case and box, which may have been asked for
 /// another duration, no shorter than what was simulated: to the same bits as without a break.
 /// `keep` is called whenever the box may be kept, and `record` with the number of each sample, from
-/// 1, the fields that are sampled, and the signals up to then.
+/// 1, the fields that are sampled, the signals up to then, and what gives the particles.
 ///
 /// # Errors
 /// As [`simulate`], or what was kept is of another box, or `record` says so.
@@ -401,7 +405,7 @@ pub fn simulate_from<const D: usize>(
     mut watch: impl FnMut(&Signals, Pace),
     kept: Option<Kept>,
     mut keep: impl FnMut(Moment, &Underway),
-    mut record: impl FnMut(u64, &FineFields<D>, &Signals) -> Result<(), RecordError>,
+    mut record: impl FnMut(u64, &FineFields<D>, &Signals, &Particles<'_>) -> Result<(), RecordError>,
 ) -> Result<Simulated, SimulateError> {
     let begin = std::time::Instant::now();
     let Case { powder, gas, physics, run, .. } = case;
@@ -451,7 +455,7 @@ pub fn simulate_from<const D: usize>(
         signals.push(until, &flow.means());
         flow.fields(&mut fine);
         sampler.sample(&fine);
-        record(sample, &fine, &signals)
+        record(sample, &fine, &signals, &|| flow.particles())
             .map_err(|source| SimulateError::Record { time: until, source })?;
         watch(&signals, Pace { steps: cost.steps - before.steps, last });
     }

@@ -1,5 +1,6 @@
 //! [`Simulation`]: what the rest of Favre asks of whatever resolves the clusters of a periodic box.
 
+use crate::dem::Sphere;
 use crate::fine::FineFields;
 use std::error::Error;
 use std::fmt;
@@ -24,6 +25,11 @@ pub trait Simulation<const D: usize> {
 
     /// Leaves the resolved fields of this instant in `fine`, at cell centres.
     fn fields(&self, fine: &mut FineFields<D>);
+
+    /// The particles in the order of their numbers, if it follows them one by one.
+    fn particles(&self) -> Option<Vec<Sphere>> {
+        None
+    }
 
     /// Slip of the uniform state at the box's mean solids fraction \[m/s\].
     fn uniform_slip(&self) -> f64;

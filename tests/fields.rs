@@ -95,6 +95,45 @@ duration = "12 u_t/g"
 precision = "f32"
 "#;
 
+/// 907 particles, followed one by one.
+const PARTICLES: &str = r#"[box]
+size = ["6.64 L_II", "6.64 L_II", "6.64 L_II"]
+cells = [8, 8, 8]
+solids_fraction = 0.025
+[physics]
+solver = "cfd-dem"
+[particles]
+overlap = 0.02
+[filter]
+widths = ["1.66 L_II"]
+[run]
+duration = "5 u_t/g"
+sample_interval = "0.25 u_t/g"
+"#;
+
+#[test]
+fn particles_are_kept_beside_their_fields_and_those_give_the_bins_of_the_flight() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    let flight = fly(dir, PARTICLES, "vti");
+    succeeds(dir, &["filter", "flight/fields_0.025", "--out", "disk"]);
+    assert!(bins(dir, "disk") == flight, "bins differ");
+    let series = fs::read_to_string(dir.join("flight/particles_0.025.pvd")).unwrap();
+    assert_eq!(series.matches("<DataSet ").count(), 20);
+    let mut last: Option<Vec<f64>> = None;
+    for sample in 1..=20 {
+        let name = format!("fields_0.025/particles/{sample:06}.vtp");
+        assert!(series.contains(&name));
+        let piece = vtk::read(&dir.join("flight").join(&name), &|_| true).unwrap();
+        assert!(piece.particles);
+        let fall = &piece.arrays.iter().find(|array| array.name == "velocity").unwrap().columns[2];
+        // 0.025 of 8.01 mm³ are 906.7 spheres of 75 um.
+        assert_eq!(fall.len(), 907);
+        assert!(last.as_ref() != Some(fall));
+        last = Some(fall.clone());
+    }
+}
+
 #[test]
 fn snapshots_give_the_bins_of_the_flight() {
     for format in ["vti", "npz"] {

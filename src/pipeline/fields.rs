@@ -456,12 +456,19 @@ pub(super) fn take_fields(
             let path = output.dir().join(&folder);
             RunError::Output(OutputError::Write { path, source })
         };
+        let particles: Vec<(u64, String)> = recorder.particles(samples(case)).collect();
         fs::rename(recorder.folder(), output.partial().join(&folder)).map_err(write)?;
         if case.output.fields == FieldsChoice::Vti {
-            let files = recorder.names(samples(case)).map(|(sample, name)| {
+            let place = |(sample, name): (u64, String)| {
                 (sample as f64 * case.run.sample_interval, format!("{folder}/{name}"))
-            });
+            };
+            let files = recorder.names(samples(case)).map(place);
             output.write(&format!("{folder}.pvd"), |file| write_series(file, files))?;
+            if !particles.is_empty() {
+                let files = particles.into_iter().map(place);
+                let name = format!("particles_{fraction}.pvd");
+                output.write(&name, |file| write_series(file, files))?;
+            }
         }
     }
     Ok(())

@@ -6,8 +6,9 @@
 
 use super::map::vtk_index;
 use super::numpy::NpzWriter;
-use super::xml::{Image, Named, field_data, write_vti, write_whole};
+use super::xml::{Image, Named, Points, field_data, write_points, write_vti, write_whole};
 use crate::case::{Case, FieldsChoice};
+use crate::dem::Sphere;
 use crate::fine::{FineFields, symmetric_index};
 use std::borrow::Cow;
 use std::fs;
@@ -111,6 +112,32 @@ pub fn write<const D: usize>(
     })
 }
 
+/// Folder of the particles in that of the fields.
+const PARTICLES: &str = "particles";
+
+fn particles_name(sample: u64) -> String {
+    format!("{sample:06}.vtp")
+}
+
+/// Writes the `spheres` at `time` \[s\], in the order of their numbers, to the file (.vtp) `path`.
+fn write_spheres(path: &Path, time: f64, spheres: &[Sphere]) -> io::Result<()> {
+    let list = |of: &dyn Fn(&Sphere) -> f64| spheres.iter().map(of).collect::<Vec<f64>>();
+    let lists =
+        |of: fn(&Sphere) -> [f64; 3]| [0, 1, 2].map(|axis| list(&|sphere| of(sphere)[axis]));
+    let position = lists(|sphere| sphere.position);
+    let velocity = lists(|sphere| sphere.velocity);
+    let spin = lists(|sphere| sphere.spin);
+    let points = Points {
+        time,
+        position: position.each_ref().map(|list| &list[..]),
+        velocity: velocity.each_ref().map(|list| &list[..]),
+        spin: spin.each_ref().map(|list| &list[..]),
+        diameter: &list(&|sphere| sphere.diameter),
+        id: &(0..spheres.len()).map(|n| n as f64).collect::<Vec<f64>>(),
+    };
+    write_points(path, &points)
+}
+
 /// Two or three numbers as VTK's three.
 fn triple<const D: usize, T: Copy>(values: [T; D], rest: T) -> [T; 3] {
     std::array::from_fn(|axis| if axis < D { values[axis] } else { rest })
@@ -211,7 +238,8 @@ impl Recorder {
     }
 
     /// Keeps `fine`, if a snapshot is due at sample number `sample`; `signals` gives the means of the
-    /// box by the number of a sample.
+    /// box by the number of a sample, `particles` the particles if they are followed, which a format
+    /// for ParaView has in a folder of their own.
     ///
     /// # Errors
     /// It cannot be written.
@@ -220,6 +248,7 @@ impl Recorder {
         sample: u64,
         fine: &FineFields<D>,
         signals: impl Fn(usize) -> [f64; 4],
+        particles: &dyn Fn() -> Option<Vec<Sphere>>,
     ) -> Result<(), RecordError> {
         if !sample.is_multiple_of(self.every) {
             return Ok(());
@@ -228,7 +257,24 @@ impl Recorder {
         let companions =
             Companions { case: &self.case, signals: [signals(sample as usize), signals(0)] };
         write(&path, self.format, fine, &companions)
-            .map_err(|source| RecordError::Write { path, source })
+            .map_err(|source| RecordError::Write { path, source })?;
+        if self.format == Format::Vti
+            && let Some(spheres) = particles()
+        {
+            let path = self.folder.join(PARTICLES).join(particles_name(sample));
+            fs::create_dir_all(self.folder.join(PARTICLES))
+                .and_then(|()| write_spheres(&path, fine.time, &spheres))
+                .map_err(|source| RecordError::Write { path, source })?;
+        }
+        Ok(())
+    }
+
+    /// Number of the sample, and name in the folder, of the particles of every snapshot up to sample number
+    /// `last`; none if particles are not followed.
+    pub fn particles(&self, last: u64) -> impl Iterator<Item = (u64, String)> {
+        self.names(last)
+            .map(|(sample, _)| (sample, format!("{PARTICLES}/{}", particles_name(sample))))
+            .filter(|(_, name)| self.folder.join(name).is_file())
     }
 
     /// The format.
