@@ -29,6 +29,7 @@ mod state;
 
 pub use start::{StartError, lattice, packed, thermal};
 pub use state::StateError;
+pub(crate) use state::{take, take_f64};
 
 use crate::laws::contact::{Contact, TANGENTIAL_MOBILITY};
 use pairs::{Cells, Slab};

@@ -7,7 +7,7 @@
 //! ([`Dem::save_state`](crate::dem::Dem::save_state)).
 
 use super::CfdDem;
-use crate::dem::{self, Quad, Seen};
+use crate::dem::{self, Quad, Seen, take, take_f64};
 use crate::field::Field;
 use crate::simulation::Limit;
 use std::io::{self, Read, Write};
@@ -35,16 +35,6 @@ pub enum StateError {
     /// Of its particles.
     #[error("the state of the particles")]
     Particles(#[from] dem::StateError),
-}
-
-fn take(from: &mut dyn Read) -> io::Result<u64> {
-    let mut bytes = [0; 8];
-    from.read_exact(&mut bytes)?;
-    Ok(u64::from_le_bytes(bytes))
-}
-
-fn take_f64(from: &mut dyn Read) -> io::Result<f64> {
-    take(from).map(f64::from_bits)
 }
 
 fn put_f64(to: &mut dyn Write, number: f64) -> io::Result<()> {

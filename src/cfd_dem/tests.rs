@@ -224,3 +224,65 @@ fn fields_are_sums_over_particles() {
     println!("drag {drag} of {whole}");
     assert!((drag / whole - 1.0).abs() < 0.05, "{drag} {whole}");
 }
+
+#[test]
+fn hard_boxes_run_or_say_why_not_and_lose_no_particle() {
+    let advance = |flow: &mut CfdDem| -> Result<(), StepError> {
+        while flow.time() < 3e-3 {
+            flow.step(3e-3)?;
+        }
+        Ok(())
+    };
+    let [smooth, elastic] = {
+        let contact = setup(0.0).contact;
+        [Contact { friction: 0.0, ..contact }, Contact { restitution: 1.0, ..contact }]
+    };
+    let small = |n: usize| {
+        // Cells of 1.5 d: a particle alone fills a third of one.
+        Grid::new([1.125e-4 * n as f64; 3], [n; 3])
+    };
+    for (name, grid, setup) in [
+        ("densest", grid([8, 8, 8]), setup(0.6)),
+        ("smooth", grid([8, 8, 8]), Setup { contact: smooth, ..setup(0.3) }),
+        ("elastic", grid([8, 8, 8]), Setup { contact: elastic, ..setup(0.3) }),
+        ("small cells", small(12), Setup { smoothing: 1.2e-4, ..setup(0.5) }),
+        (
+            "small cells, divided",
+            small(12),
+            Setup { mapping: MappingChoice::Divided, smoothing: 1.2e-4, ..setup(0.2) },
+        ),
+    ] {
+        let mut flow = CfdDem::new(grid, setup).unwrap();
+        let number = flow.dem.len();
+        advance(&mut flow).unwrap_or_else(|why| panic!("{name}: {why}"));
+        let size = flow.grid.size();
+        let spheres = flow.dem.spheres();
+        assert_eq!(spheres.len(), number, "{name}");
+        let inside =
+            |sphere: &dem::Sphere| (0..3).all(|a| (0.0..=size[a]).contains(&sphere.position[a]));
+        assert!(spheres.iter().all(inside), "{name}");
+        // Nothing is thrown about: speeds are those of a bed.
+        let u_t = flow.scales.terminal_velocity;
+        assert!(flow.dem.temperature().sqrt() < u_t, "{name}");
+    }
+
+    // Shot at a hundred times its terminal velocity: too fast for steps of so soft a contact.
+    let grid = grid([8, 8, 8]);
+    let mut spheres = lattice(grid.size(), [10; 3], POWDER.diameter, POWDER.density).unwrap();
+    spheres[500].velocity = [22.0, 3.0, 0.0];
+    let mut flow = CfdDem::with_spheres(grid, setup(0.0), &spheres).unwrap();
+    let refused = advance(&mut flow).unwrap_err();
+    let StepError::Particles(why) = &refused else { panic!("{refused}") };
+    assert!(why.to_string().contains("raise"), "{why}");
+
+    // More than a cell can hold of what is shared by the nearest alone, without smoothing.
+    let crowded = CfdDem::new(small(12), setup(0.6)).and_then(|mut flow| {
+        let full = advance(&mut flow);
+        println!("{full:?}");
+        assert!(full.is_ok() || full.unwrap_err().to_string().contains("smoothing"));
+        Ok(())
+    });
+    crowded.unwrap();
+    let none = CfdDem::new(small(8), setup(1e-6)).map(|_| ()).unwrap_err().to_string();
+    assert!(none.contains("one at least"), "{none}");
+}

@@ -40,13 +40,15 @@ fn put_quads(to: &mut dyn Write, quads: &[Quad]) -> io::Result<()> {
     quads.iter().flat_map(|quad| quad.0).try_for_each(|number| put(to, number.to_bits()))
 }
 
-fn take(from: &mut dyn Read) -> io::Result<u64> {
+/// The next number of a state.
+pub(crate) fn take(from: &mut dyn Read) -> io::Result<u64> {
     let mut bytes = [0; 8];
     from.read_exact(&mut bytes)?;
     Ok(u64::from_le_bytes(bytes))
 }
 
-fn take_f64(from: &mut dyn Read) -> io::Result<f64> {
+/// The same as an f64.
+pub(crate) fn take_f64(from: &mut dyn Read) -> io::Result<f64> {
     take(from).map(f64::from_bits)
 }
 
