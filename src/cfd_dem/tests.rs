@@ -275,14 +275,11 @@ fn hard_boxes_run_or_say_why_not_and_lose_no_particle() {
     let StepError::Particles(why) = &refused else { panic!("{refused}") };
     assert!(why.to_string().contains("raise"), "{why}");
 
-    // More than a cell can hold of what is shared by the nearest alone, without smoothing.
-    let crowded = CfdDem::new(small(12), setup(0.6)).and_then(|mut flow| {
-        let full = advance(&mut flow);
-        println!("{full:?}");
-        assert!(full.is_ok() || full.unwrap_err().to_string().contains("smoothing"));
-        Ok(())
-    });
-    crowded.unwrap();
+    // More than spheres can fill of a cell.
+    let mut flow = CfdDem::new(small(12), setup(0.5)).unwrap();
+    flow.filled[12 * 12 + 12 * 2 + 3] = [0.97];
+    let full = flow.check_filled().unwrap_err().to_string();
+    assert!(full.contains("0.97 of the cell at (3, 2, 1)") && full.contains("smoothing"), "{full}");
     let none = CfdDem::new(small(8), setup(1e-6)).map(|_| ()).unwrap_err().to_string();
     assert!(none.contains("one at least"), "{none}");
 }
