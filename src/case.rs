@@ -1121,6 +1121,9 @@ precision = "f64"
         // takes on the way, a tenth for e = 0.9.
         assert!((particles.contact.stiffness - 3.17).abs() < 0.01, "{particles:?}");
         assert_eq!((particles.contact.restitution, particles.smoothing), (0.9, 0.0));
+        // Nothing is perturbed: a bed may be as dense as its packing allows.
+        let dense = text.replace("solids_fraction = 0.05 ", "solids_fraction = 0.62 ");
+        assert_eq!(Case::parse(&dense, "x").unwrap().run.perturbation, 0.0);
         let problem = |from: &str, to: &str| {
             assert!(text.contains(from), "{from}");
             match Case::parse(&text.replacen(from, to, 1), "x") {

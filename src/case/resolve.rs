@@ -83,7 +83,10 @@ pub(super) fn resolve(
         _ => None,
     };
     let max_packing = powder.as_ref().map(|powder| powder.max_packing);
+    let solver = file.physics.solver.as_ref().map_or(SolverChoice::TwoFluid, |typed| typed.value);
     let perturbation = match &file.run.perturbation {
+        // Particles are at random places.
+        _ if solver == SolverChoice::CfdDem => Some(0.0),
         None => Some(0.05),
         typed => {
             accept(typed.as_ref(), |p| (0.0..=0.5).contains(&p), "a number from 0 to 0.5", problems)
@@ -102,7 +105,6 @@ pub(super) fn resolve(
     let filter =
         resolve_filter(&file.filter, domain.as_ref(), scales.as_ref(), max_packing, problems);
     let run = resolve_run(&file.run, scales.as_ref(), perturbation, problems);
-    let solver = file.physics.solver.as_ref().map_or(SolverChoice::TwoFluid, |typed| typed.value);
     let particles = match (solver, &powder) {
         (SolverChoice::TwoFluid, _) => {
             if let Some(header) = &file.particles.header {
