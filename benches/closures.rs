@@ -1,13 +1,13 @@
 //! Ten million points through closures, on one thread: `cargo bench --bench closures`.
 //!
-//! The library call evaluates columns in memory; the command reads doubles from a file and writes doubles
-//! to another. Medians of five, wall time and what of it a core worked.
+//! The library call evaluates columns in memory; the command reads from a file and writes to another,
+//! doubles or lines of text of six digits. Medians of five, wall time and what of it a core worked.
 
 use assert_cmd::cargo::cargo_bin;
 use cpu_time::ProcessTime;
 use favre::closure::Closure;
 use std::fs::File;
-use std::io::Write;
+use std::io::{BufWriter, Write};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -27,8 +27,8 @@ fn main() {
     let dir = tempfile::tempdir().expect("a folder for the points");
     println!("10 million points, one thread, seconds:");
     println!(
-        "{:26} {:>12} {:>12} {:>18}",
-        "closure", "library", "of one core", "eval --stdin --binary"
+        "{:26} {:>8} {:>12} {:>22} {:>13}",
+        "closure", "library", "of one core", "eval --stdin --binary", "eval --stdin"
     );
     for name in all {
         let closure = Closure::find(&name).expect("a closure");
@@ -57,23 +57,39 @@ fn main() {
             core.push(worked.elapsed());
         }
         let path = dir.path().join("points");
-        let mut bytes = Vec::with_capacity(8 * POINTS * columns.len());
-        for i in 0..POINTS {
-            columns.iter().for_each(|column| bytes.extend(column[i].to_le_bytes()));
-        }
-        File::create(&path).and_then(|mut file| file.write_all(&bytes)).expect("points written");
-        let piped = (0..5).map(|_| {
-            let start = Instant::now();
-            let done = Command::new(cargo_bin!("favre"))
-                .args(["models", "eval", &name, "--stdin", "--binary"])
-                .stdin(File::open(&path).expect("points"))
-                .stdout(File::create(dir.path().join("values")).expect("values"))
-                .stderr(Stdio::inherit())
-                .status();
-            assert!(done.expect("favre").success());
-            start.elapsed()
-        });
-        let piped = median(piped.collect());
-        println!("{name:26} {:12.2} {:12.2} {piped:18.2}", median(wall), median(core));
+        let piped = |options: &[&str]| {
+            let passes = (0..5).map(|_| {
+                let start = Instant::now();
+                let done = Command::new(cargo_bin!("favre"))
+                    .args(["models", "eval", &name, "--stdin"])
+                    .args(options)
+                    .stdin(File::open(&path).expect("points"))
+                    .stdout(File::create(dir.path().join("values")).expect("values"))
+                    .stderr(Stdio::inherit())
+                    .status();
+                assert!(done.expect("favre").success());
+                start.elapsed()
+            });
+            median(passes.collect())
+        };
+        let write = |text: bool| {
+            let mut file = BufWriter::new(File::create(&path).expect("a file"));
+            for i in 0..POINTS {
+                for (k, column) in columns.iter().enumerate() {
+                    let end = if k + 1 < columns.len() { ' ' } else { '\n' };
+                    let done = match text {
+                        true => write!(file, "{:.6}{end}", column[i]),
+                        false => file.write_all(&column[i].to_le_bytes()),
+                    };
+                    done.expect("points written");
+                }
+            }
+            file.flush().expect("points written");
+        };
+        write(false);
+        let binary = piped(&["--binary"]);
+        write(true);
+        let text = piped(&[]);
+        println!("{name:26} {:8.2} {:12.2} {binary:22.2} {text:13.2}", median(wall), median(core));
     }
 }

@@ -49,7 +49,29 @@ enum Kind {
     /// Square, cube, x^1.5: exact or faster than the general power.
     Square(usize),
     Cube(usize),
+    /// a + Σ c_k x_k, left to right, every product and sum rounded as if it were on its own.
+    Sum(usize, Vec<(f64, usize)>),
     Select(Vec<Arm>, Block),
+}
+
+impl Kind {
+    /// Shows `see` each register that it needs; of a piecewise formula those that its arms end in.
+    fn reads(&self, mut see: impl FnMut(usize)) {
+        match self {
+            Self::Negative(a) | Self::One(_, a) | Self::Square(a) | Self::Cube(a) => see(*a),
+            Self::Binary(_, a, b) | Self::Two(_, a, b) => [*a, *b].into_iter().for_each(see),
+            Self::Sum(first, terms) => {
+                see(*first);
+                terms.iter().for_each(|(_, x)| see(*x));
+            }
+            Self::Select(arms, last) => {
+                for arm in arms {
+                    [arm.left, arm.right, arm.value.result].into_iter().for_each(&mut see);
+                }
+                see(last.result);
+            }
+        }
+    }
 }
 
 /// Operations on some of the points, and the register of their result.
@@ -113,7 +135,51 @@ impl Program {
         let mut compiler =
             Compiler { meaning, program, values, known: vec![HashMap::new()], depth: 0 };
         compiler.program.result = compiler.node(formula.root(), 0)?;
-        Ok(compiler.program)
+        Ok(compiler.program.with_sums())
+    }
+
+    /// The same with `a + c1*x1 + c2*x2 ..` as one operation, where nothing else needs its parts: a
+    /// polynomial or a spline is little else, and each operation on its own goes through memory.
+    fn with_sums(mut self) -> Self {
+        let mut uses = vec![0; self.registers];
+        uses[self.result] += 1;
+        for operation in self.blocks.iter().flatten() {
+            operation.kind.reads(|register| uses[register] += 1);
+        }
+        let constants: HashMap<usize, f64> = self.constants.iter().copied().collect();
+        // Products with a constant and sums that one operation needs, by their registers.
+        let mut products = HashMap::new();
+        let mut sums: HashMap<usize, (usize, Vec<(f64, usize)>)> = HashMap::new();
+        let mut done = vec![false; self.registers];
+        for Operation { kind, out } in self.blocks.iter_mut().flatten() {
+            let Kind::Binary(operator, a, b) = *kind else { continue };
+            let sign = match operator {
+                Operator::Multiply => {
+                    let product = match (constants.get(&a), constants.get(&b)) {
+                        (Some(c), None) => (*c, b),
+                        (None, Some(c)) => (*c, a),
+                        _ => continue,
+                    };
+                    products.insert(*out, product);
+                    continue;
+                }
+                Operator::Add => 1.0,
+                Operator::Subtract => -1.0,
+                _ => continue,
+            };
+            let Some((c, x)) = products.get(&b).filter(|_| uses[b] == 1) else { continue };
+            let before = sums.get(&a).filter(|_| uses[a] == 1).cloned();
+            done[b] = true;
+            done[a] |= before.is_some();
+            let (first, mut terms) = before.unwrap_or((a, Vec::new()));
+            terms.push((sign * c, *x));
+            *kind = Kind::Sum(first, terms.clone());
+            sums.insert(*out, (first, terms));
+        }
+        for block in &mut self.blocks {
+            block.retain(|operation| !done[operation.out]);
+        }
+        self
     }
 
     /// The value at one point.
@@ -169,12 +235,29 @@ impl Program {
                 }
                 Kind::Square(a) => points.one(out, register(a), |a| a * a),
                 Kind::Cube(a) => points.one(out, register(a), |a| a * a * a),
+                Kind::Sum(first, terms) => match points {
+                    Points::First(count) => {
+                        sum(&mut out[..*count], register(first), terms, before, width);
+                    }
+                    Points::Some(list) => {
+                        for i in list.iter().map(|i| usize::from(*i)) {
+                            let add = |sum, (c, x): &(f64, usize)| sum + c * register(x)[i];
+                            out[i] = terms.iter().fold(register(first)[i], add);
+                        }
+                    }
+                },
                 Kind::One(function, a) => match function {
                     Function::Exp => points.one_together(out, register(a), exponentials),
                     function => points.one(out, register(a), |a| function.of_one(a)),
                 },
                 Kind::Two(function, a, b) => {
-                    points.two(out, register(a), register(b), |a, b| function.of_two(a, b));
+                    let (a, b) = (register(a), register(b));
+                    // The commonest by name: a choice outside the loop.
+                    match function {
+                        Function::Min => points.two(out, a, b, |a, b| Function::Min.of_two(a, b)),
+                        Function::Max => points.two(out, a, b, |a, b| Function::Max.of_two(a, b)),
+                        function => points.two(out, a, b, |a, b| function.of_two(a, b)),
+                    }
                 }
                 Kind::Select(..) => unreachable!("done above"),
             }
@@ -274,6 +357,51 @@ fn exponentials(a: &[f64], out: &mut [f64]) {
     }
 }
 
+simd! {
+    /// `out` = `operate`(a), element by element.
+    fn each_of_one[F: Fn(f64) -> f64](out: &mut [f64], a: &[f64], operate: F) {
+        for (out, a) in out.iter_mut().zip(a) {
+            *out = operate(*a);
+        }
+    }
+}
+
+simd! {
+    /// `out` = `operate`(a, b), element by element.
+    fn each_of_two[F: Fn(f64, f64) -> f64](out: &mut [f64], a: &[f64], b: &[f64], operate: F) {
+        for ((out, a), b) in out.iter_mut().zip(a).zip(b) {
+            *out = operate(*a, *b);
+        }
+    }
+}
+
+/// Numbers that a sum is held for at once.
+const LANES: usize = 32;
+
+simd! {
+    /// `out` = a + Σ c x, the x in `registers` of `width` numbers each.
+    fn sum[](out: &mut [f64], a: &[f64], terms: &[(f64, usize)], registers: &[f64], width: usize) {
+        let (many, rest) = out.as_chunks_mut::<LANES>();
+        let rest_at = many.len() * LANES;
+        for (k, out) in many.iter_mut().enumerate() {
+            let at = k * LANES;
+            out.copy_from_slice(&a[at..at + LANES]);
+            let mut sum = *out;
+            for (c, x) in terms {
+                let x = &registers[x * width + at..][..LANES];
+                for (sum, x) in sum.iter_mut().zip(x) {
+                    *sum += *c * *x;
+                }
+            }
+            *out = sum;
+        }
+        for (i, out) in rest.iter_mut().enumerate() {
+            let add = |sum, (c, x): &(f64, usize)| sum + c * registers[x * width + rest_at + i];
+            *out = terms.iter().fold(a[rest_at + i], add);
+        }
+    }
+}
+
 /// Points of a chunk.
 #[derive(Clone)]
 enum Points {
@@ -294,11 +422,7 @@ impl Points {
     #[inline(always)]
     fn one(&self, out: &mut [f64], a: &[f64], operate: impl Fn(f64) -> f64) {
         match self {
-            Self::First(count) => {
-                for (out, a) in out[..*count].iter_mut().zip(a) {
-                    *out = operate(*a);
-                }
-            }
+            Self::First(count) => each_of_one(&mut out[..*count], a, operate),
             Self::Some(list) => {
                 for i in list {
                     let i = usize::from(*i);
@@ -340,11 +464,7 @@ impl Points {
     #[inline(always)]
     fn two(&self, out: &mut [f64], a: &[f64], b: &[f64], operate: impl Fn(f64, f64) -> f64) {
         match self {
-            Self::First(count) => {
-                for ((out, a), b) in out[..*count].iter_mut().zip(a).zip(b) {
-                    *out = operate(*a, *b);
-                }
-            }
+            Self::First(count) => each_of_two(&mut out[..*count], a, b, operate),
             Self::Some(list) => {
                 for i in list {
                     let i = usize::from(*i);
@@ -563,6 +683,34 @@ mod tests {
             .flatten()
             .filter(|operation| matches!(operation.kind, Kind::One(Function::Exp, _)));
         assert_eq!(exponentials.count(), 1);
+    }
+
+    #[test]
+    fn sums_of_products_are_one_operation_and_change_no_bit() {
+        let program = compiled("1 + 0.3*x - 1.7*y + 0.1*x^2 - c*exp(y) + y").unwrap();
+        let sums = program.blocks.iter().flatten().filter_map(|operation| match &operation.kind {
+            Kind::Sum(_, terms) => Some(terms.len()),
+            _ => None,
+        });
+        assert_eq!(sums.collect::<Vec<_>>(), [4]);
+        let x: Vec<f64> = (0..300).map(|i| (f64::from(i) * 0.618).fract()).collect();
+        let y: Vec<f64> = (0..300).map(|i| (f64::from(i) * 0.755).fract()).collect();
+        let mut found = vec![0.0; 300];
+        program.evaluate(&[&x, &y], &mut found);
+        // One in a piecewise formula, at some of the points.
+        let pieces = compiled("piecewise(x < 0.5, 1 + 0.3*x - 1.7*y, 2*y - 0.1*x)").unwrap();
+        let mut some = vec![0.0; 300];
+        pieces.evaluate(&[&x, &y], &mut some);
+        for i in 0..300 {
+            let (x, y) = (x[i], y[i]);
+            let expected = 1.0 + 0.3 * x - 1.7 * y + 0.1 * (x * x) - 3.0 * y.exp() + y;
+            assert!((found[i] / expected - 1.0).abs() < 1e-12, "{} for {expected}", found[i]);
+            let exact = if x < 0.5 { 1.0 + 0.3 * x - 1.7 * y } else { 2.0 * y - 0.1 * x };
+            assert_eq!(some[i].to_bits(), exact.to_bits(), "at {x}, {y}");
+        }
+        // A product that something else needs stays.
+        let twice = compiled("(1 + 0.3*x) * (2 + 0.3*x)").unwrap();
+        assert_eq!(twice.at(&[0.7, 0.0]), (1.0 + 0.3 * 0.7) * (2.0 + 0.3 * 0.7));
     }
 
     #[test]
