@@ -235,28 +235,23 @@ impl Program {
                 }
                 Kind::Square(a) => points.one(out, register(a), |a| a * a),
                 Kind::Cube(a) => points.one(out, register(a), |a| a * a * a),
-                Kind::Sum(first, terms) => match points {
-                    Points::First(count) => {
-                        sum(&mut out[..*count], register(first), terms, before, width);
-                    }
-                    Points::Some(list) => {
-                        for i in list.iter().map(|i| usize::from(*i)) {
-                            let add = |sum, (c, x): &(f64, usize)| sum + c * register(x)[i];
-                            out[i] = terms.iter().fold(register(first)[i], add);
-                        }
-                    }
+                Kind::Sum(first, terms) => match points.dense() {
+                    Some(count) => sum(&mut out[..count], register(first), terms, before, width),
+                    None => points.each(|i| {
+                        let add = |sum, (c, x): &(f64, usize)| sum + c * register(x)[i];
+                        out[i] = terms.iter().fold(register(first)[i], add);
+                    }),
                 },
                 Kind::One(function, a) => match function {
                     Function::Exp => points.one_together(out, register(a), exponentials),
-                    function => points.one(out, register(a), |a| function.of_one(a)),
+                    function => points.one_by_one(out, register(a), |a| function.of_one(a)),
                 },
                 Kind::Two(function, a, b) => {
                     let (a, b) = (register(a), register(b));
-                    // The commonest by name: a choice outside the loop.
+                    // By name: a choice outside the loop.
                     match function {
                         Function::Min => points.two(out, a, b, |a, b| Function::Min.of_two(a, b)),
-                        Function::Max => points.two(out, a, b, |a, b| Function::Max.of_two(a, b)),
-                        function => points.two(out, a, b, |a, b| function.of_two(a, b)),
+                        _ => points.two(out, a, b, |a, b| Function::Max.of_two(a, b)),
                     }
                 }
                 Kind::Select(..) => unreachable!("done above"),
@@ -291,8 +286,9 @@ impl Program {
                 return;
             }
             if !here.is_empty() {
-                self.copy(arm.value, out, &Points::Some(here.clone()), width, registers);
-                undecided = Points::Some(rest.clone());
+                let here = Points::Some(here.clone(), undecided.of());
+                self.copy(arm.value, out, &here, width, registers);
+                undecided = Points::Some(rest.clone(), undecided.of());
             }
         }
         self.copy(last, out, &undecided, width, registers);
@@ -302,7 +298,7 @@ impl Program {
     fn copy(&self, value: Block, out: usize, points: &Points, width: usize, registers: &mut [f64]) {
         self.run(value.block, points, width, registers);
         let (before, after) = registers.split_at_mut(out * width);
-        points.one(&mut after[..width], &before[value.result * width..][..width], |a| a);
+        points.one_by_one(&mut after[..width], &before[value.result * width..][..width], |a| a);
     }
 }
 
@@ -402,42 +398,73 @@ simd! {
     }
 }
 
+/// Arithmetic at one in so many points of a chunk costs as much as at all of them, several at once.
+const DENSE: usize = 8;
+
 /// Points of a chunk.
 #[derive(Clone)]
 enum Points {
     /// So many from the first.
     First(usize),
-    /// These.
-    Some(Vec<u16>),
+    /// These, of so many.
+    Some(Vec<u16>, usize),
 }
 
 impl Points {
-    fn each(&self, mut see: impl FnMut(usize)) {
+    /// How many points the chunk has.
+    fn of(&self) -> usize {
         match self {
-            Self::First(count) => (0..*count).for_each(see),
-            Self::Some(list) => list.iter().for_each(|i| see(usize::from(*i))),
+            Self::First(count) | Self::Some(_, count) => *count,
+        }
+    }
+
+    /// How many points from the first to do arithmetic at, where that is no slower than at these alone.
+    /// What it gives at the others is never read.
+    fn dense(&self) -> Option<usize> {
+        match self {
+            Self::First(count) => Some(*count),
+            Self::Some(list, count) => (DENSE * list.len() >= *count).then_some(*count),
         }
     }
 
     #[inline(always)]
-    fn one(&self, out: &mut [f64], a: &[f64], operate: impl Fn(f64) -> f64) {
+    fn each(&self, mut see: impl FnMut(usize)) {
         match self {
-            Self::First(count) => each_of_one(&mut out[..*count], a, operate),
-            Self::Some(list) => {
-                for i in list {
-                    let i = usize::from(*i);
-                    out[i] = operate(a[i]);
-                }
-            }
+            Self::First(count) => (0..*count).for_each(see),
+            Self::Some(list, _) => list.iter().for_each(|i| see(usize::from(*i))),
         }
     }
 
-    /// As [`Points::one`] with a function of many numbers.
+    /// `out` = `operate`(a), arithmetic without a choice.
+    #[inline(always)]
+    fn one(&self, out: &mut [f64], a: &[f64], operate: impl Fn(f64) -> f64) {
+        match self.dense() {
+            Some(count) => each_of_one(&mut out[..count], a, operate),
+            None => self.one_by_one(out, a, operate),
+        }
+    }
+
+    /// `out` = `operate`(a) at these points and no others.
+    #[inline(always)]
+    fn one_by_one(&self, out: &mut [f64], a: &[f64], operate: impl Fn(f64) -> f64) {
+        self.each(|i| out[i] = operate(a[i]));
+    }
+
+    /// As [`Points::one`] of two numbers.
+    #[inline(always)]
+    fn two(&self, out: &mut [f64], a: &[f64], b: &[f64], operate: impl Fn(f64, f64) -> f64) {
+        match self.dense() {
+            Some(count) => each_of_two(&mut out[..count], a, b, operate),
+            None => self.each(|i| out[i] = operate(a[i], b[i])),
+        }
+    }
+
+    /// As [`Points::one_by_one`] with a function of many numbers.
     fn one_together(&self, out: &mut [f64], a: &[f64], operate: impl Fn(&[f64], &mut [f64])) {
         self.two_together(out, a, a, |a, _, out| operate(a, out));
     }
 
-    /// As [`Points::two`] with a function of many numbers.
+    /// As [`Points::one_together`] of two numbers each.
     fn two_together(
         &self,
         out: &mut [f64],
@@ -447,7 +474,7 @@ impl Points {
     ) {
         match self {
             Self::First(count) => operate(&a[..*count], &b[..*count], &mut out[..*count]),
-            Self::Some(list) => {
+            Self::Some(list, _) => {
                 let [mut x, mut y, mut values] = [[0.0; CHUNK]; 3];
                 for (k, i) in list.iter().enumerate() {
                     (x[k], y[k]) = (a[usize::from(*i)], b[usize::from(*i)]);
@@ -456,19 +483,6 @@ impl Points {
                 operate(&x[..n], &y[..n], &mut values[..n]);
                 for (value, i) in values.iter().zip(list) {
                     out[usize::from(*i)] = *value;
-                }
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn two(&self, out: &mut [f64], a: &[f64], b: &[f64], operate: impl Fn(f64, f64) -> f64) {
-        match self {
-            Self::First(count) => each_of_two(&mut out[..*count], a, b, operate),
-            Self::Some(list) => {
-                for i in list {
-                    let i = usize::from(*i);
-                    out[i] = operate(a[i], b[i]);
                 }
             }
         }
