@@ -6,7 +6,7 @@
 //! same but `[run] duration`, which may be any that has not been passed yet: so a run can be
 //! prolonged. Once the run has its folder, the checkpoint is removed.
 //!
-//! # Format, version 4
+//! # Format, version 5
 //!
 //! Numbers, texts and lists as in all binary files of this program: little-endian, lengths u64.
 //! `Signals` and `Cost` are their fields in the order in which they are declared.
@@ -24,6 +24,8 @@
 //! | [`Signals`] | five lists of f64 |
 //! | [`Cost`] | u64 and f64 |
 //! | [`Sums`](crate::statistics::Sums) | as in [`sums`](crate::sums) |
+//! | [`Film`]: filter width, picture elements along each axis, samples from one frame to the next, number of frames | f64, four u64 |
+//! | of each frame the number of its sample, its time, its two pictures | u64, f64, two lists of f64 |
 //! | the state of the flow ([`TwoFluid::save_state`](crate::two_fluid::TwoFluid::save_state)) | the rest |
 //! | CRC-32 (IEEE 802.3) of all of the above | u32 |
 
@@ -31,6 +33,7 @@ use crate::binary::{
     Fault, Source, open, put, put_list, put_text, take, take_list, take_text, write_file,
 };
 use crate::case::Case;
+use crate::film::{Film, Frame};
 use crate::output::beside;
 use crate::simulate::{Cost, Kept, Moment, Signals, Underway, samples};
 use crate::sums::{put_sums, take_sums};
@@ -43,7 +46,7 @@ use std::time::{Duration, Instant};
 const MAGIC: &[u8; 8] = b"favrebox";
 
 /// Version of the format.
-const FORMAT: u32 = 4;
+const FORMAT: u32 = 5;
 
 /// Version of the program: another one may compute other bits.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
@@ -347,6 +350,7 @@ impl Checkpoints {
             put_signals(to, underway.signals)?;
             put_cost(to, &underway.cost)?;
             put_sums(to, underway.sums)?;
+            put_film(to, underway.film)?;
             (underway.write_flow)(to)
         })
     }
@@ -376,11 +380,12 @@ fn read(path: &Path) -> Result<(Header, Kept), CheckpointError> {
     }
     let mut rest = || {
         let signals = take_signals(&mut file)?;
-        Ok::<_, Fault>((signals, take_cost(&mut file)?, take_sums(&mut file)?))
+        let (cost, sums) = (take_cost(&mut file)?, take_sums(&mut file)?);
+        Ok::<_, Fault>((signals, cost, sums, take_film(&mut file)?))
     };
-    let (signals, cost, sums) = rest().map_err(|error| at(error, path))?;
+    let (signals, cost, sums, film) = rest().map_err(|error| at(error, path))?;
     let time = header.time;
-    Ok((header, Kept { time, signals, cost, sums, flow: Box::new(file) }))
+    Ok((header, Kept { time, signals, cost, sums, film, flow: Box::new(file) }))
 }
 
 /// What an interrupted run that was to fill `output` kept.
@@ -556,6 +561,43 @@ fn take_cost(from: &mut Source) -> Result<Cost, Fault> {
     Ok(cost)
 }
 
+fn put_film(to: &mut dyn Write, film: &Film) -> io::Result<()> {
+    put(to, film.filter_width)?;
+    for number in film.shape {
+        put(to, number as u64)?;
+    }
+    put(to, film.stride)?;
+    put(to, film.frames.len() as u64)?;
+    film.frames.iter().try_for_each(|frame| {
+        put(to, frame.sample)?;
+        put(to, frame.time)?;
+        put_list(to, &frame.fraction)?;
+        put_list(to, &frame.filtered)
+    })
+}
+
+fn take_film(from: &mut Source) -> Result<Film, Fault> {
+    let mut film = Film {
+        filter_width: take(from)?,
+        shape: [take::<u64>(from)? as usize, take::<u64>(from)? as usize],
+        stride: take(from)?,
+        frames: Vec::new(),
+    };
+    // The shortest frame has the numbers of its sample, its time, and of two empty pictures.
+    for _ in 0..from.len(32)? {
+        let (sample, time) = (take(from)?, take(from)?);
+        let (fraction, filtered) = (take_list(from)?, take_list(from)?);
+        film.frames.push(Frame { sample, time, fraction, filtered });
+    }
+    let elements = film.shape[0].checked_mul(film.shape[1]);
+    let whole =
+        |frame: &Frame| [&frame.fraction, &frame.filtered].map(|p| Some(p.len()) == elements);
+    if film.stride == 0 || film.frames.iter().any(|frame| whole(frame).contains(&false)) {
+        return Err(Fault::damaged("its film has frames of another size"));
+    }
+    Ok(film)
+}
+
 /// The first key, but the duration, in which two resolved cases differ, with both values.
 fn difference(theirs: &str, ours: &str) -> Option<(String, String, String)> {
     let (theirs, ours) = (keys(theirs), keys(ours));
@@ -687,6 +729,7 @@ mod tests {
         assert_eq!(found.signals, expected.signals);
         assert_eq!(found.sums, expected.sums);
         assert_eq!(found.snapshot, expected.snapshot);
+        assert_eq!(found.film, expected.film);
         assert_eq!(found.uniform_slip, expected.uniform_slip);
         let cost = |cost: Cost| Cost { seconds: 0.0, ..cost };
         assert_eq!(cost(found.cost), cost(expected.cost));
@@ -915,7 +958,14 @@ mod tests {
         let attempt = |interval, moment, signals: &Signals| {
             let checkpoints = Checkpoints::start(&output(&base), &case, interval, true).unwrap();
             let write_flow: &dyn Fn(&mut dyn Write) -> io::Result<()> = &|_| Ok(());
-            let underway = Underway { time: 0.0, signals, cost, sums: &kept.sums, write_flow };
+            let underway = Underway {
+                time: 0.0,
+                signals,
+                cost,
+                sums: &kept.sums,
+                film: &kept.film,
+                write_flow,
+            };
             checkpoints.keeper(PHI).keep(moment, &underway).unwrap();
             !checkpoints.is_empty()
         };
@@ -934,10 +984,10 @@ mod tests {
         let before = fs::read(file(&base)).unwrap();
         let checkpoints = resume(&base, &case).unwrap();
         let kept = checkpoints.kept(PHI).unwrap().unwrap();
-        let Kept { time, signals, cost, sums, .. } = &kept;
+        let Kept { time, signals, cost, sums, film, .. } = &kept;
         let write_flow: &dyn Fn(&mut dyn Write) -> io::Result<()> =
             &|_| Err(io::Error::from(ErrorKind::StorageFull));
-        let underway = Underway { time: *time, signals, cost: *cost, sums, write_flow };
+        let underway = Underway { time: *time, signals, cost: *cost, sums, film, write_flow };
         let refused = checkpoints.keeper(PHI).keep(Moment::Stop, &underway).unwrap_err();
         let CheckpointError::Write { path, source } = refused else { panic!("{refused:?}") };
         assert_eq!((path, source.kind()), (file(&base), ErrorKind::StorageFull));

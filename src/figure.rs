@@ -5,15 +5,17 @@
 
 use crate::bench::error::{Group, QUANTITIES, Report};
 use crate::compare::{Comparison, Panel};
+use crate::film::{Film, Frame};
 use crate::stability::{Mode, Stability};
 use crate::table::{BinRow, ClosureRow, Origin};
 use kuva::plot::annotations::{ReferenceLine, ShadedRegion};
 use kuva::plot::legend::{LegendEntry, LegendPosition, LegendShape};
 use kuva::prelude::{ColorMap, Heatmap, LinePlot, Plot, ScatterPlot, SvgBackend};
-use kuva::render::layout::Layout;
+use kuva::render::layout::{Layout, TickFormat};
 use kuva::render::render::{Scene, render_multiple};
 use kuva::{RasterBackend, TickAlign};
 use std::io::Write;
+use std::sync::Arc;
 use thiserror::Error;
 
 /// A drawn figure, from which SVG and PNG are made.
@@ -541,6 +543,82 @@ pub fn field_figure(
         .with_y_axis_max(height);
     Ok(Figure { scene: render_multiple(plots, layout) })
 }
+
+/// A strip of a film: a column for each of its `frames`, the solids fraction above, and below what a
+/// filter makes of it, in a box of `size` \[m\]; all in one scale. Made for PNG, as [`field_figure`].
+pub fn film_figure(film: &Film, frames: &[&Frame], size: [f64; 2]) -> Figure {
+    let [columns, rows] = film.shape;
+    let gap = (columns.min(rows) / 10).max(1);
+    let (across, up) = (columns + gap, rows + gap);
+    let high = frames
+        .iter()
+        .flat_map(|frame| frame.fraction.iter().chain(&frame.filtered))
+        .fold(f64::MIN_POSITIVE, |high, x| high.max(*x));
+    let shaded = |x: f64| (x / high * SHADES).round() / SHADES * high;
+    // Between the pictures there is no number, and no colour.
+    let mut data = vec![vec![f64::NAN; frames.len() * across - gap]; 2 * up - gap];
+    for (k, frame) in frames.iter().enumerate() {
+        for (picture, bottom) in [(&frame.filtered, 0), (&frame.fraction, up)] {
+            for (row, values) in picture.chunks(columns).enumerate() {
+                for (to, value) in data[bottom + row][k * across..].iter_mut().zip(values) {
+                    *to = shaded(*value);
+                }
+            }
+        }
+    }
+    let times: Vec<String> = frames.iter().map(|f| format!("{} s", significant(f.time))).collect();
+    let names = [format!("φ, Δ_f = {} cm", significant(100.0 * film.filter_width)), "φ".into()];
+    let at = |labels: Vec<String>| {
+        TickFormat::Custom(Arc::new(move |x: f64| {
+            let near = (x - x.round()).abs() < 1e-6 && x.round() >= 0.0;
+            labels.get(x.round() as usize).filter(|_| near).cloned().unwrap_or_default()
+        }))
+    };
+    let half = |cells: usize, pitch: usize| 0.5 * cells as f64 / pitch as f64;
+    let (beside, below) = (half(columns, across), half(rows, up));
+    let last = frames.len().saturating_sub(1) as f64;
+    let map = Heatmap::new()
+        .with_data(data.clone())
+        .with_x_range(-beside, last + beside)
+        .with_y_range(-below, 1.0 + below)
+        .with_cell_size(1.0 - 1e-6)
+        .with_color_map(ColorMap::Custom(Arc::new(|share: f64| match share.is_nan() {
+            true => "#ffffff".into(),
+            false => ColorMap::Viridis.map(share),
+        })));
+    let plots = vec![Plot::Heatmap(map)];
+    let pixels = (FILM_PIXELS / columns.max(rows)).max(1);
+    let width = (data[0].len() * pixels) as f64 / f64::from(PNG_SCALE);
+    // Elements are as high as they are in the box.
+    let aspect = size[1] / size[0] * columns as f64 / rows as f64;
+    let height = (data.len() * pixels) as f64 / f64::from(PNG_SCALE) * aspect;
+    let [left, right, top, bottom] = FILM_MARGINS;
+    let right = right.max(NARROWEST - width - left);
+    let layout =
+        frame(Layout::auto_from_plots(&plots), width + left + right, height + top + bottom)
+            .with_force_margins(left, right)
+            .with_force_margins_y(top, bottom)
+            .with_show_grid(false)
+            .with_title("solids fraction, as it is and filtered [-]")
+            .with_title_size(14)
+            .with_x_label("time")
+            .with_x_tick_step(1.0)
+            .with_y_tick_step(1.0)
+            .with_x_tick_format(at(times))
+            .with_y_tick_format(at(names.into()))
+            .with_tick_align(TickAlign::Outside)
+            .with_x_axis_min(-beside)
+            .with_x_axis_max(last + beside)
+            .with_y_axis_min(-below)
+            .with_y_axis_max(1.0 + below);
+    Figure { scene: render_multiple(plots, layout) }
+}
+
+/// Largest edge of a picture of a film in a PNG \[pixels\].
+const FILM_PIXELS: usize = 256;
+
+/// Room beside a film \[units\], as [`FIELD_MARGINS`].
+const FILM_MARGINS: [f64; 4] = [115.0, 85.0, 40.0, 55.0];
 
 /// Shades of a field's colour map.
 const SHADES: f64 = 64.0;

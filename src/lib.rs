@@ -25,6 +25,7 @@ pub mod lanes;
 
 pub mod blocking;
 pub mod extrapolation;
+pub mod film;
 pub mod filter;
 pub mod filtered;
 pub mod filtered_fields;

@@ -101,6 +101,11 @@ impl<const D: usize> MomentColumns<'_, D> {
         self.positions == 0
     }
 
+    /// The filtered solids fraction at filter position `n`.
+    pub fn fraction(&self, n: usize) -> f64 {
+        self.columns[self.first + n]
+    }
+
     /// The moments at filter position `n`.
     pub fn at(&self, n: usize) -> Moments<f64, D> {
         let mut moments = Moments::zeros();
@@ -210,6 +215,17 @@ impl<const D: usize> Positions<D> {
     /// Distance between positions along each axis \[cells\].
     pub fn step(&self) -> [usize; D] {
         std::array::from_fn(|axis| self.step[axis] * self.block[axis])
+    }
+
+    /// The position whose box has its middle nearest to `place`, counted in cells from the middle of the
+    /// first cell, in a box that repeats itself; of another kernel the position itself.
+    pub fn nearest(&self, place: [f64; D]) -> usize {
+        (0..D).rev().fold(0, |n, axis| {
+            let middle = 0.5 * (self.block[axis] * self.count[axis] - 1) as f64;
+            let step = (self.step[axis] * self.block[axis]) as f64;
+            let along = ((place[axis] - middle) / step).round() as i64;
+            n * self.shape[axis] + along.rem_euclid(self.shape[axis] as i64) as usize
+        })
     }
 
     /// Place of the first cell of the box at position `n` in a field of `cells`.

@@ -30,7 +30,7 @@ use crate::simulate::{
 use crate::stability::{self, Stability, StabilityError};
 use crate::statistics::{MergeError, Sums, bin_table};
 use crate::stored::StoredError;
-use crate::summary::{BoxSummary, Machine, Summary};
+use crate::summary::{BoxSummary, Machine, SHOWN_FRAMES, Summary};
 use crate::sums::{RunSums, SUMS_FILE, SumsFile, SumsSystem};
 use crate::table::{BinRow, write_rows};
 use std::io::{self, Write};
@@ -488,6 +488,10 @@ fn export(
         )?
         .png()?;
         output.write(&format!("field_{phi}.png"), |file| file.write_all(&field))?;
+        let film = &simulated.film;
+        let strip =
+            figure::film_figure(film, &film.strip(summary.start, SHOWN_FRAMES), size).png()?;
+        output.write(&format!("film_{phi}.png"), |file| file.write_all(&strip))?;
         let slip: Vec<f64> = simulated.signals.slip.iter().map(|slip| slip / scale).collect();
         let uniform = simulated.uniform_slip / scale;
         let times = &simulated.signals.time;

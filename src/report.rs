@@ -5,11 +5,14 @@
 //! is drawn. Figures are the drawings of [`figure`](crate::figure), each with the numbers behind it.
 
 mod charts;
+mod dependence;
 mod folder;
 mod page;
 
-pub use charts::{Drawing, drawings};
-pub use folder::{BoxFacts, Folder, Measured, ReportError, RunFacts, SHOWN, ScalesFacts, Trace};
+pub use charts::{Drawing, drawings, drawings_together};
+pub use folder::{
+    BoxFacts, Folder, Measured, ReportError, RunFacts, SHOWN, ScalesFacts, StripFacts, Trace,
+};
 pub use page::page;
 
 /// The file that a run leaves.

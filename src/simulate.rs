@@ -3,6 +3,7 @@
 use crate::case::{Case, Drive, EdgesChoice, FilterCase, KernelChoice, MarkerChoice};
 use crate::cfd_dem::{self, CfdDem};
 use crate::dem::Sphere;
+use crate::film::Film;
 use crate::filter::FilterError;
 use crate::fine::FineFields;
 use crate::grid::Grid;
@@ -131,6 +132,8 @@ pub struct Simulated {
     pub cost: Cost,
     /// Solids fraction at the end, in the plane of the first and the last axis, first axis fastest.
     pub snapshot: Vec<f64>,
+    /// A few small pictures of the way there.
+    pub film: Film,
 }
 
 /// Why a box could not be simulated.
@@ -187,6 +190,8 @@ pub struct Underway<'a> {
     pub cost: Cost,
     /// Sums of the samples so far.
     pub sums: &'a Sums,
+    /// The film so far.
+    pub film: &'a Film,
     /// Writes [`Simulation::save_state`].
     pub write_flow: &'a dyn Fn(&mut dyn Write) -> io::Result<()>,
 }
@@ -201,6 +206,8 @@ pub struct Kept {
     pub cost: Cost,
     /// Its sums.
     pub sums: Sums,
+    /// Its film.
+    pub film: Film,
     /// Reads what [`Underway::write_flow`] wrote.
     pub flow: Box<dyn Read>,
 }
@@ -418,27 +425,30 @@ pub fn simulate_from<const D: usize>(
     let mut fine = FineFields::zeros(grid);
     let start = flow.means();
     let (mut signals, mut cost) = (Signals::default(), Cost::default());
+    // The filter in the middle: narrow ones change little, and of wide ones there are few.
+    let seen = case.filter.widths.len().saturating_sub(1) / 2;
+    let mut film = Film::new(&grid, case.filter.widths[seen]);
     signals.push(0.0, &start);
     if let Some(mut kept) = kept {
         flow.restore_state(&mut kept.flow).map_err(SimulateError::State)?;
         sampler.resume(kept.sums)?;
-        (signals, cost) = (kept.signals, kept.cost);
+        (signals, cost, film) = (kept.signals, kept.cost, kept.film);
         // For the picture of a box that is at its end already; else the next sample overwrites it.
         flow.fields(&mut fine);
     }
     let before = cost;
     let seconds = || before.seconds + begin.elapsed().as_secs_f64();
-    let mut keep = |moment, flow: &dyn Simulation<D>, signals: &_, cost, sums: &_| {
+    let mut keep = |moment, flow: &dyn Simulation<D>, signals: &_, cost, sums: &_, film: &_| {
         let cost = Cost { seconds: seconds(), ..cost };
         let write_flow = &|to: &mut dyn Write| flow.save_state(to);
-        keep(moment, &Underway { time: flow.time(), signals, cost, sums, write_flow });
+        keep(moment, &Underway { time: flow.time(), signals, cost, sums, film, write_flow });
     };
     let mut last = None;
     for sample in signals.time.len() as u64..=samples(case) {
         let until = sample as f64 * run.sample_interval;
         while flow.time() < until {
             if stop() {
-                keep(Moment::Stop, &flow, &signals, cost, sampler.sums());
+                keep(Moment::Stop, &flow, &signals, cost, sampler.sums(), &film);
                 return Err(SimulateError::Interrupted { time: flow.time() });
             }
             let step = flow
@@ -450,16 +460,20 @@ pub fn simulate_from<const D: usize>(
             cost.gas_steps += step.gas_steps as u64;
             cost.limited_by[step.limit as usize] += 1;
             cost.volume_residual = cost.volume_residual.max(step.volume_residual);
-            keep(Moment::Step, &flow, &signals, cost, sampler.sums());
+            keep(Moment::Step, &flow, &signals, cost, sampler.sums(), &film);
         }
         signals.push(until, &flow.means());
         flow.fields(&mut fine);
         sampler.sample(&fine);
+        if film.is_due(sample) {
+            let filtered = |place| sampler.filtered_fraction(seen, place);
+            film.take(sample, until, &grid, &fine.solids_fraction, filtered);
+        }
         record(sample, &fine, &signals, &|| flow.particles())
             .map_err(|source| SimulateError::Record { time: until, source })?;
         watch(&signals, Pace { steps: cost.steps - before.steps, last });
     }
-    keep(Moment::End, &flow, &signals, cost, sampler.sums());
+    keep(Moment::End, &flow, &signals, cost, sampler.sums(), &film);
     let end = flow.means();
     let scale = powder.density * solids_fraction * scales.terminal_velocity;
     cost.mass_change = end.solids_fraction / start.solids_fraction - 1.0;
@@ -474,6 +488,7 @@ pub fn simulate_from<const D: usize>(
         sums: sampler.into_sums(),
         cost,
         snapshot: middle_plane(&grid, &fine.solids_fraction),
+        film,
     })
 }
 

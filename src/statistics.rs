@@ -702,6 +702,12 @@ impl<const D: usize, L: DragLaw<f64>> Sampler<D, L> {
         &self.sums
     }
 
+    /// The filtered solids fraction of the last sample by the filter of width number `width` whose middle is
+    /// nearest to `place`, counted in cells from the middle of the first.
+    pub fn filtered_fraction(&self, width: usize, place: [f64; D]) -> f64 {
+        self.filter.moments(width).fraction(self.filter.positions()[width].nearest(place))
+    }
+
     /// Goes on from the sums of an interrupted run, in place of its own, as if never interrupted.
     ///
     /// # Errors

@@ -56,9 +56,23 @@ pub struct BoxSummary {
     pub channel_time: f64,
     /// Share of the time for which one did; its samples are in the means.
     pub channel_share: f64,
+    /// The pictures of `film_*.png`.
+    pub film: Strip,
     /// What it cost.
     pub cost: Cost,
 }
+
+/// Pictures of a box on its way.
+#[derive(Clone, Debug, Serialize)]
+pub struct Strip {
+    /// Width of the filter \[m\].
+    pub filter_width: f64,
+    /// Times \[s\].
+    pub times: Vec<f64>,
+}
+
+/// Frames of a film that are shown.
+pub const SHOWN_FRAMES: usize = 5;
 
 impl BoxSummary {
     /// Of the signals of `simulated` from `start` on.
@@ -93,6 +107,10 @@ impl BoxSummary {
             pressure_gradient: measure(&signals.pressure_gradient, 1.0),
             channel_time,
             channel_share,
+            film: Strip {
+                filter_width: simulated.film.filter_width,
+                times: simulated.film.strip(start, SHOWN_FRAMES).iter().map(|f| f.time).collect(),
+            },
             cost: simulated.cost,
         }
     }

@@ -10,14 +10,14 @@
 mod common;
 
 use assert_cmd::cargo::cargo_bin;
-use common::SYSTEM;
+use common::{SYSTEM, python};
 use favre::resolved::map::Map;
 use favre::resolved::openfoam::{self, Mesh};
 use favre::resolved::series::{Reader, runs};
 use favre::resolved::{Lattice, Piece, Resolved, vtk};
 use favre::stored::Pressure;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output};
 
 fn favre(dir: &Path, arguments: &[&str]) -> Output {
@@ -38,21 +38,6 @@ fn refused(dir: &Path, arguments: &[&str]) -> String {
     assert_eq!(output.status.code(), Some(2), "{message}");
     assert!(!dir.join("refused").exists() && !dir.join("refused.partial").exists());
     message
-}
-
-/// A Python that can import `module`: that of `.ci/run`, or the one on the path.
-fn python(module: &str) -> Option<PathBuf> {
-    let venv = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/venv/bin/python");
-    let import = format!("import {module}");
-    let can = |python: &PathBuf| {
-        let output = Command::new(python).args(["-c", &import]).output();
-        output.is_ok_and(|output| output.status.success())
-    };
-    let found = [venv, PathBuf::from("python3")].into_iter().find(can);
-    if found.is_none() {
-        eprintln!("skipped: no Python with {module}; `pip install {module}` in target/venv");
-    }
-    found
 }
 
 fn run_python(python: &Path, dir: &Path, script: &str) {

@@ -6,11 +6,11 @@
 mod common;
 
 use assert_cmd::cargo::cargo_bin;
-use common::SYSTEM;
+use common::{SYSTEM, python};
 use favre::resolved::vtk;
 use favre::resolved::xml::{Points, write_points, write_series};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 const FLAT: &str = r#"[box]
@@ -37,21 +37,8 @@ duration = "8 u_t/g"
 fields = "vti"
 "#;
 
-/// The Python of `.ci/run`, or the one on the path, if it has all that the tests read files with.
-fn python() -> Option<PathBuf> {
-    let venv = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/venv/bin/python");
-    let can = |python: &PathBuf| {
-        let output = Command::new(python).args(["-c", "import vtk, pyvista, h5py"]).output();
-        output.is_ok_and(|output| output.status.success())
-    };
-    let found = [venv, PathBuf::from("python3")].into_iter().find(can);
-    if found.is_none() {
-        eprintln!(
-            "skipped: no Python with vtk, pyvista and h5py; `pip install` them in target/venv"
-        );
-    }
-    found
-}
+/// What the tests read files with.
+const MODULES: &str = "vtk, pyvista, h5py";
 
 fn succeeds(command: &mut Command) {
     let output = command.output().unwrap();
@@ -83,7 +70,7 @@ fn fly(dir: &Path, case: &str) {
 
 #[test]
 fn vtk_pyvista_and_h5py_read_resolved_and_filtered_fields_alike() {
-    let Some(python) = python() else { return };
+    let Some(python) = python(MODULES) else { return };
     for case in [FLAT, SOLID] {
         let folder = tempfile::tempdir().unwrap();
         let dir = folder.path();
@@ -94,7 +81,7 @@ fn vtk_pyvista_and_h5py_read_resolved_and_filtered_fields_alike() {
 
 #[test]
 fn vtk_and_pyvista_read_particles() {
-    let Some(python) = python() else { return };
+    let Some(python) = python(MODULES) else { return };
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path();
     fs::write(dir.join("tests.py"), CHECKS).unwrap();

@@ -4,8 +4,9 @@
 mod common;
 
 use assert_cmd::cargo::cargo_bin;
-use common::SYSTEM;
+use common::{SYSTEM, python};
 use favre::report::{Folder, page};
+use favre::summary::interval;
 use favre::table::read_bins;
 use std::collections::BTreeMap;
 use std::fs;
@@ -43,11 +44,21 @@ fn reported(dir: &Path, folders: &[&str]) -> String {
 /// A run of [`CASE`] in a folder of its own.
 fn run() -> (TempDir, PathBuf) {
     let temp = TempDir::new().unwrap();
-    fs::write(temp.path().join("small.toml"), [SYSTEM, CASE].concat()).unwrap();
-    let (status, said) = favre(temp.path(), &["run", "small.toml", "--quiet", "--out", "out"]);
-    assert_eq!(status, 0, "{said}");
-    let out = temp.path().join("out");
+    let out = run_of(temp.path(), "out", CASE);
     (temp, out)
+}
+
+/// A run of the common powder in the folder `name` of `dir`.
+fn run_of(dir: &Path, name: &str, case: &str) -> PathBuf {
+    fs::write(dir.join(format!("{name}.toml")), [SYSTEM, case].concat()).unwrap();
+    let (status, said) = favre(dir, &["run", &format!("{name}.toml"), "--quiet", "--out", name]);
+    assert_eq!(status, 0, "{said}");
+    dir.join(name)
+}
+
+/// run.json of the folder of a run.
+fn facts(out: &Path) -> serde_json::Value {
+    serde_json::from_slice(&fs::read(out.join("run.json")).unwrap()).unwrap()
 }
 
 /// The attribute `name` wherever it stands in `text`.
@@ -63,6 +74,11 @@ fn numbers(html: &str, id: &str) -> Vec<BTreeMap<String, String>> {
     let bytes = favre_base64(link.strip_prefix("data:text/csv;base64,").unwrap());
     let mut table = csv::Reader::from_reader(bytes.as_slice());
     table.deserialize().map(Result::unwrap).collect()
+}
+
+fn base64_of(bytes: &[u8]) -> String {
+    use base64::Engine;
+    base64::engine::general_purpose::STANDARD.encode(bytes)
 }
 
 fn favre_base64(text: &str) -> Vec<u8> {
@@ -101,6 +117,19 @@ fn a_page_carries_the_numbers_of_the_bins() {
     assert_eq!(figure.matches("<circle").count(), wanted.len());
     let said = figure.split("<title>").skip(1).map(|rest| rest.split('<').next().unwrap());
     assert_eq!(said.filter(|text| text.contains("95 % interval")).count(), wanted.len());
+    // The film strips are those of the folder, from where the statistics start on.
+    for b in facts(&out)["boxes"].as_array().unwrap() {
+        let name = format!("film_{}.png", b["solids_fraction"]);
+        let png = fs::read(out.join(&name)).unwrap();
+        assert!(html.contains(&base64_of(&png)), "{name}");
+        let film = &b["film"];
+        assert_eq!(film["filter_width"], 0.01);
+        let times: Vec<f64> = serde_json::from_value(film["times"].clone()).unwrap();
+        assert!(times.len() == 5 && times[0] >= b["start"].as_f64().unwrap(), "{times:?}");
+        assert!(times.windows(2).all(|pair| pair[0] < pair[1]), "{times:?}");
+        let caption = format!("what a filter of 1 cm makes of it ({name})");
+        assert!(html.contains(&caption), "{caption}");
+    }
     // The page made again from the folder is that of the run.
     let command = format!("favre report {}", "out");
     let folder = Folder { path: "out".into(), ..Folder::read(&out).unwrap() };
@@ -110,15 +139,18 @@ fn a_page_carries_the_numbers_of_the_bins() {
 #[test]
 fn what_is_missing_is_said_and_the_rest_is_drawn() {
     let (temp, out) = run();
-    for file in ["model.toml", "closures.csv", "field_0.1.png", "field_0.2.png"] {
+    for file in ["model.toml", "closures.csv"] {
         fs::remove_file(out.join(file)).unwrap();
     }
-    let html = reported(temp.path(), &["out"]);
-    for text in
-        ["model.toml is not there", "closures.csv is not there", "field_*.png are not there"]
-    {
-        assert!(html.contains(text), "{text}");
+    for picture in ["field_0.1.png", "field_0.2.png", "film_0.1.png", "film_0.2.png"] {
+        fs::remove_file(out.join(picture)).unwrap();
     }
+    let html = reported(temp.path(), &["out"]);
+    for file in ["model.toml is", "closures.csv is", "field_*.png are", "film_*.png are"] {
+        assert!(html.contains(&format!("{file} not there")), "{file}");
+    }
+    // One run says nothing of its grid, and says so.
+    assert!(html.contains("One grid and one box") && !html.contains("id=\"dependence\""));
     assert!(!numbers(&html, "closure-0").is_empty());
 
     // One filter width: no slope, and points all the same.
@@ -146,6 +178,50 @@ fn what_is_missing_is_said_and_the_rest_is_drawn() {
 }
 
 #[test]
+fn grids_stand_beside_each_other() {
+    let (temp, out) = run();
+    let grids = ["[24, 24]", "[16, 16]"].map(|cells| {
+        let name = format!("cells-{}", &cells[1..3]);
+        run_of(temp.path(), &name, &CASE.replace("[32, 32]", cells).replace("0.005, ", ""))
+    });
+    let folders = [&out, &grids[0], &grids[1]];
+    let html = reported(temp.path(), &["out", "cells-24", "cells-16"]);
+    let rows = numbers(&html, "slip_against_cells-0");
+    for folder in folders {
+        let facts = facts(folder);
+        let cell = 0.04 / facts["case"]["box"]["cells"][0].as_f64().unwrap();
+        let scaled = cell / facts["scales"]["length_ii"].as_f64().unwrap();
+        for b in facts["boxes"].as_array().unwrap() {
+            let slip = b["slip"]["mean"].as_f64().unwrap();
+            let half = 1.96 * b["slip"]["standard_error"].as_f64().unwrap();
+            let row = rows.iter().find(|row| row["mean slip / u_t [-]"].parse() == Ok(slip));
+            let row = row.unwrap_or_else(|| panic!("{slip} is not in {rows:?}"));
+            let number = |key: &str| row[key].parse::<f64>().unwrap();
+            assert!((number("cell/L_II [-]") / scaled - 1.0).abs() < 1e-12);
+            assert!((number("low_95") - (slip - half)).abs() < 1e-12);
+        }
+    }
+    assert!(!numbers(&html, "slip_against_cost-0").is_empty());
+    assert!(!html.contains("id=\"slip_against_box-0\""));
+    let section = html.split("id=\"dependence\"").nth(1).unwrap();
+    let section = section.split("</section>").next().unwrap();
+    // Two mean fractions, of three grids each, and H at a width that all have.
+    assert_eq!(section.matches("different grids: the slips of").count(), 2);
+    let bins = read_bins(&out.join("bins.csv")).unwrap();
+    let bin = bins.iter().find(|b| {
+        b.quantity == "drag_correction"
+            && b.filter_width == 0.01
+            && (b.solids_fraction_low..b.solids_fraction_high).contains(&0.1)
+    });
+    let bin = bin.unwrap();
+    assert!(section.contains(&interval(bin.value, bin.standard_error)));
+    let (status, said) =
+        favre(temp.path(), &["report", "out", "cells-24", "cells-16", "--figures", "figures"]);
+    assert_eq!(status, 0, "{said}");
+    assert!(temp.path().join("figures/slip_against_cells.svg").exists());
+}
+
+#[test]
 fn many_runs_make_one_page() {
     let (temp, out) = run();
     let names: Vec<String> = (0..12).map(|i| format!("run-{i}")).collect();
@@ -170,15 +246,9 @@ fn many_runs_make_one_page() {
 
 #[test]
 fn a_browser_is_content() {
-    let python = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/venv/bin/python");
-    let ready = Command::new(&python)
-        .args(["-c", "import playwright, axe_core_python"])
-        .output()
-        .is_ok_and(|output| output.status.success());
-    if !ready || !Path::new("/usr/bin/chromium").exists() {
-        eprintln!(
-            "skipped: Chromium, or Playwright and axe-core in target/venv, are not installed"
-        );
+    let Some(python) = python("playwright, axe_core_python") else { return };
+    if !Path::new("/usr/bin/chromium").exists() {
+        eprintln!("skipped: Chromium is not installed");
         return;
     }
     let (temp, out) = run();

@@ -3,10 +3,14 @@
 use super::RunError;
 use crate::case::Case;
 use crate::checkpoint::Interrupted;
+use crate::figure::film_figure;
 use crate::laws::scales::Scales;
 use crate::output::{Output, RUN_FILE};
-use crate::report::{Drawing, Folder, RunFacts, SHOWN, ScalesFacts, Trace, drawings, page};
+use crate::report::{
+    Drawing, Folder, RunFacts, SHOWN, ScalesFacts, Trace, drawings, drawings_together, page,
+};
 use crate::statistics::bin_table;
+use crate::summary::SHOWN_FRAMES;
 use rayon::prelude::*;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -22,28 +26,36 @@ pub fn report(paths: &[PathBuf], command: &str) -> Result<String, RunError> {
 }
 
 /// Every figure of the page of one run in `paths`, as SVG and PNG, in `output`, which the caller commits;
-/// of several runs with the run's number and name before its own. Those that there are no numbers for are left out.
+/// of several runs those of each with the run's number and name before its own, and those of all together.
+/// Those that there are no numbers for are left out.
 ///
 /// # Errors
 /// As for [`report`], or a file cannot be written.
 pub fn figures(paths: &[PathBuf], output: &Output) -> Result<(), RunError> {
-    for (i, path) in paths.iter().enumerate() {
-        let folder = read(path)?;
+    let folders = paths.iter().map(|path| read(path)).collect::<Result<Vec<_>, _>>()?;
+    for (i, folder) in folders.iter().enumerate() {
         let before = match paths.len() {
             1 => String::new(),
             // Two runs may have one name.
             _ => format!("{}_{}_", i + 1, folder.name),
         };
-        for Drawing { name, chart, .. } in drawings(&folder).iter().filter(|d| !d.chart.is_empty())
-        {
-            let figure = chart.figure();
-            let pixels = figure.png()?;
-            output
-                .write(&format!("{before}{name}.svg"), |f| f.write_all(figure.svg().as_bytes()))?;
-            output.write(&format!("{before}{name}.png"), |f| f.write_all(&pixels))?;
-        }
+        draw(&drawings(folder), &before, output)?;
+    }
+    if folders.len() > 1 {
+        draw(&drawings_together(&folders), "", output)?;
     }
     output.write(RUN_FILE, |file| Ok(serde_json::to_writer_pretty(file, paths)?))?;
+    Ok(())
+}
+
+/// Writes drawings, with `before` before their names.
+fn draw(drawings: &[Drawing], before: &str, output: &Output) -> Result<(), RunError> {
+    for Drawing { name, chart, .. } in drawings.iter().filter(|d| !d.chart.is_empty()) {
+        let figure = chart.figure();
+        let pixels = figure.png()?;
+        output.write(&format!("{before}{name}.svg"), |f| f.write_all(figure.svg().as_bytes()))?;
+        output.write(&format!("{before}{name}.png"), |f| f.write_all(&pixels))?;
+    }
     Ok(())
 }
 
@@ -75,11 +87,19 @@ fn interrupted(path: &Path, run: Interrupted) -> Result<Folder, RunError> {
         }
     }
     let mut all = Vec::new();
-    let mut traces = Vec::new();
+    let (mut traces, mut films) = (Vec::new(), Vec::new());
     for (solids_fraction, kept) in run.boxes {
         let mut sums = kept.sums;
-        sums.discard_before(kept.signals.start().0);
+        let (start, _) = kept.signals.start();
+        sums.discard_before(start);
         all.push(sums);
+        let last = case.domain.size.len() - 1;
+        let size = [case.domain.size[0], case.domain.size[last]];
+        let frames = kept.film.strip(start, SHOWN_FRAMES);
+        if !frames.is_empty() {
+            let strip = film_figure(&kept.film, &frames, size).png()?;
+            films.push((format!("film_{solids_fraction}.png"), strip));
+        }
         let (times, slip) = (kept.signals.time, kept.signals.slip);
         traces.push(Trace { solids_fraction, times, slip });
     }
@@ -105,6 +125,7 @@ fn interrupted(path: &Path, run: Interrupted) -> Result<Folder, RunError> {
         case: Some(run.case),
         bins,
         traces,
+        films,
         missing,
         ..Folder::default()
     })

@@ -1,5 +1,6 @@
 //! The charts of a report, from the tables of a run.
 
+use super::dependence;
 use super::folder::{Folder, Trace};
 use crate::closure::{BUILT_IN, Closure};
 use crate::compare::{Comparison, Settings, compare};
@@ -320,9 +321,32 @@ fn slip(folder: &Folder, trace: &Trace) -> Option<Chart> {
     Some(figure::series_chart(&trace.times, &slip, start, uniform))
 }
 
+/// Filter width at which several runs are compared, in either reference length.
+const COMMON_WIDTHS: [(ReferenceLength, f64); 2] =
+    [(ReferenceLength::One, 2.0), (ReferenceLength::Two, 30.0)];
+
+/// The drag corrections of several runs beside each other.
+pub(super) fn side_by_side(folders: &[Folder]) -> Vec<Drawing> {
+    let one = |(reference, width)| Drawing {
+        name: format!("runs_{reference}"),
+        caption: format!(
+            "Drag correction of every run, at its filter width nearest to {width} {reference}."
+        ),
+        chart: together(folders, reference, width),
+    };
+    COMMON_WIDTHS.into_iter().map(one).collect()
+}
+
+/// Everything that is drawn of several runs together, in the order of the page.
+pub fn drawings_together(folders: &[Folder]) -> Vec<Drawing> {
+    let mut all = side_by_side(folders);
+    all.extend(dependence::drawings(&dependence::groups(folders)));
+    all
+}
+
 /// The drag corrections of several runs at the width nearest to `width` reference lengths, a colour for
 /// each run.
-pub(super) fn together(folders: &[Folder], reference: ReferenceLength, width: f64) -> Chart {
+fn together(folders: &[Folder], reference: ReferenceLength, width: f64) -> Chart {
     let series = folders.iter().enumerate().filter_map(|(colour, folder)| {
         let rows = rows(folder, "drag_correction");
         let nearest = rows

@@ -102,8 +102,19 @@ pub struct BoxFacts {
     pub slip: Measured,
     /// Variance of the solids fraction.
     pub solids_fraction_variance: Measured,
+    /// The pictures of its film strip.
+    pub film: Option<StripFacts>,
     /// What it cost.
     pub cost: CostFacts,
+}
+
+/// Pictures of a box on its way.
+#[derive(Clone, Debug, Deserialize)]
+pub struct StripFacts {
+    /// Width of the filter \[m\].
+    pub filter_width: f64,
+    /// Times \[s\].
+    pub times: Vec<f64>,
 }
 
 /// What was modelled, and why.
@@ -199,6 +210,8 @@ pub struct Folder {
     pub traces: Vec<Trace>,
     /// Snapshots: name of the file, and the PNG.
     pub snapshots: Vec<(String, Vec<u8>)>,
+    /// Film strips, likewise.
+    pub films: Vec<(String, Vec<u8>)>,
     /// What a complete run has and this one has not, one sentence each.
     pub missing: Vec<String>,
 }
@@ -243,7 +256,8 @@ impl Folder {
         if let Some(file) = folder.table("signals.csv", "slip over time")? {
             folder.traces = traces(&file).map_err(|why| folder.unreadable("signals.csv", why))?;
         }
-        folder.read_snapshots()?;
+        folder.snapshots = folder.pictures("field_", "pictures of the solids fraction")?;
+        folder.films = folder.pictures("film_", "pictures of the boxes on their way")?;
         Ok(folder)
     }
 
@@ -273,22 +287,23 @@ impl Folder {
         Ok(None)
     }
 
-    fn read_snapshots(&mut self) -> Result<(), ReportError> {
+    /// The PNG files whose names begin with `start`, in the order of their names; without any, `what` is
+    /// missing.
+    fn pictures(&mut self, start: &str, what: &str) -> Result<Vec<(String, Vec<u8>)>, ReportError> {
         let entries = fs::read_dir(&self.path).map_err(|why| self.unreadable("", why))?;
         let mut names: Vec<String> = entries
             .filter_map(|entry| Some(entry.ok()?.file_name().to_string_lossy().into_owned()))
-            .filter(|name| name.starts_with("field_") && name.ends_with(".png"))
+            .filter(|name| name.starts_with(start) && name.ends_with(".png"))
             .collect();
         names.sort();
         if names.is_empty() {
-            self.missing.push("field_*.png are not there: pictures of the solids fraction".into());
+            self.missing.push(format!("{start}*.png are not there: {what}"));
         }
-        for name in names {
-            let bytes =
-                fs::read(self.path.join(&name)).map_err(|why| self.unreadable(&name, why))?;
-            self.snapshots.push((name, bytes));
-        }
-        Ok(())
+        let read = |name: String| match fs::read(self.path.join(&name)) {
+            Ok(bytes) => Ok((name, bytes)),
+            Err(why) => Err(self.unreadable(&name, why)),
+        };
+        names.into_iter().map(read).collect()
     }
 
     /// u_t \[m/s\], if it is known.

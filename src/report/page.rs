@@ -1,10 +1,10 @@
 //! The page itself.
 
 use super::charts::{self, Drawing, drawings};
+use super::dependence::{self, Group, costs, groups};
 use super::folder::{Folder, Measured};
 use crate::compare::Comparison;
 use crate::figure::digits;
-use crate::fit::ReferenceLength;
 use crate::summary::interval;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -18,10 +18,6 @@ const MANY: usize = 3;
 
 /// Most runs that are shown in full on one page.
 const MOST_IN_FULL: usize = 8;
-
-/// Filter width at which several runs are compared, in either reference length.
-const COMMON_WIDTHS: [(ReferenceLength, f64); 2] =
-    [(ReferenceLength::One, 2.0), (ReferenceLength::Two, 30.0)];
 
 /// One page of one or several runs; `command` is what makes it again.
 pub fn page(folders: &[Folder], command: &str) -> String {
@@ -83,18 +79,8 @@ fn several(folders: &[Folder]) -> Markup {
                         }
                     }
                 }))
-        @for (reference, width) in COMMON_WIDTHS {
-            (drawing(
-                &Drawing {
-                    name: format!("runs_{reference}"),
-                    caption: format!(
-                        "Drag correction of every run, at its filter width nearest to {width} {reference}."
-                    ),
-                    chart: charts::together(folders, reference, width),
-                },
-                0,
-            ))
-        }
+        @for one in charts::side_by_side(folders) { (drawing(&one, 0)) }
+        (dependence(&groups(folders)))
         @if folders.len() > MOST_IN_FULL {
             p {
                 "Of so many runs this page has the numbers; the figures of one are on its own page, by "
@@ -113,6 +99,49 @@ fn several(folders: &[Folder]) -> Markup {
                     (run(folder, i + 1, true))
                 }
             }
+        }
+    }
+}
+
+/// Runs of one suspension: what grid and box change, and what a number costs.
+fn dependence(groups: &[Group]) -> Markup {
+    let columns = [
+        "run",
+        "⟨φ⟩",
+        "cell/L_II",
+        "box/L_I",
+        "slip/u_t",
+        "Δ_f/L_I",
+        "H at φ = ⟨φ⟩",
+        "s per simulated s",
+        "s for 1 % of slip",
+    ];
+    html! {
+        @if !groups.is_empty() {
+            h2 #dependence { "Grid, box and cost" }
+            p {
+                "Runs of one powder in one gas at one mean solids fraction. What a standard error of 1 % of the \
+                 mean slip takes is told from a run's own error, which falls with the root of the time. ± is one \
+                 standard error."
+            }
+            (table("Grid, box and cost", &columns, html! { @for row in groups.iter().flat_map(|group| &group.0) { tr {
+                    th scope="row" { (row.folder.name) }
+                    td { (digits(row.facts.solids_fraction)) }
+                    td { (digits(row.cell / row.lengths[1])) }
+                    td { (digits(row.width / row.lengths[0])) " × " (digits(row.height / row.lengths[0])) }
+                    td { (measured(row.facts.slip)) }
+                    @match row.correction {
+                        Some([width, value, error]) => {
+                            td { (digits(width / row.lengths[0])) }
+                            td { (interval(value, error)) }
+                        }
+                        None => { td { "–" } td { "–" } }
+                    }
+                    td { (digits(row.rate)) }
+                    td { (number(row.one_percent)) }
+                } } }))
+            ul { @for verdict in groups.iter().filter_map(Group::verdict) { li { (verdict) } } }
+            @for one in dependence::drawings(groups) { (drawing(&one, 0)) }
         }
     }
 }
@@ -360,8 +389,10 @@ fn sure(folder: &Folder) -> Markup {
             }
             @if !grids {
                 p.quiet {
-                    "One grid: the error of the grid is not in these. " code { "favre filter RUN RUN" }
-                    " of runs on several grids gives it."
+                    "One grid and one box: what they change is not in these. Run the case again with other "
+                    code { "cells" } " or another " code { "size" } " in " code { "[box]" } ", and "
+                    code { "favre report RUN RUN" } " has them beside each other; "
+                    code { "favre filter RUN RUN" } " of runs on several grids gives the bins' grid error."
                 }
             }
         }
@@ -372,6 +403,7 @@ fn boxes(folder: &Folder, all: &[Drawing], place: usize, among_several: bool) ->
     let few = if among_several { FEW } else { usize::MAX };
     html! {
         @if !folder.facts.boxes.is_empty() {
+            p.quiet { "± is one standard error." }
             (table("The boxes", &["⟨φ⟩", "slip/u_t", "uniform", "variance of φ", "statistics from [s]"], html! { @for b in &folder.facts.boxes { tr {
                         th scope="row" { (digits(b.solids_fraction)) }
                         td { (measured(b.slip)) } td { (digits(b.uniform_slip)) }
@@ -384,14 +416,40 @@ fn boxes(folder: &Folder, all: &[Drawing], place: usize, among_several: bool) ->
         }
         @if !folder.snapshots.is_empty() && !all.is_empty() {
             div.snapshots { @for (name, png) in &folder.snapshots {
-                figure {
-                    img src=(format!("data:image/png;base64,{}", STANDARD.encode(png)))
-                        alt=(format!("Solids fraction at the end of the run, {name}"));
-                    figcaption { "Solids fraction at the end (" (name) ")" }
-                }
+                (picture(png, &format!("Solids fraction at the end ({name})")))
             } }
         }
+        @if !all.is_empty() {
+            @for (name, png) in folder.films.iter().take(few) { (picture(png, &film(folder, name))) }
+        }
     }
+}
+
+/// A picture and what it shows.
+fn picture(png: &[u8], caption: &str) -> Markup {
+    html! {
+        figure {
+            img src=(format!("data:image/png;base64,{}", STANDARD.encode(png))) alt=(caption);
+            figcaption { (caption) }
+        }
+    }
+}
+
+/// What the film strip of the file `name` shows.
+fn film(folder: &Folder, name: &str) -> String {
+    let of = |b: &&super::BoxFacts| name == format!("film_{}.png", b.solids_fraction);
+    let strip = folder.facts.boxes.iter().find(of).and_then(|b| b.film.as_ref());
+    let Some(strip) = strip else {
+        return format!(
+            "Solids fraction on the way, and below what a filter makes of it ({name})."
+        );
+    };
+    let times: Vec<String> = strip.times.iter().map(|time| digits(*time)).collect();
+    format!(
+        "Solids fraction at t = {} s, and below what a filter of {} cm makes of it ({name}).",
+        times.join(", "),
+        digits(100.0 * strip.filter_width)
+    )
 }
 
 fn cost(folder: &Folder) -> Markup {
@@ -400,13 +458,17 @@ fn cost(folder: &Folder) -> Markup {
         return html! { p.quiet { "The run does not say." } };
     }
     html! {
-        (table("What it cost", &["⟨φ⟩", "steps", "pressure iterations a step", "seconds", "µs per cell and step"], html! { @for b in &folder.facts.boxes {
+        (table("What it cost", &["⟨φ⟩", "steps", "pressure iterations a step", "seconds", "µs per cell and step", "s per simulated s", "error of slip [%]", "s for 1 %"], html! { @for row in costs(folder) {
+                    @let b = row.facts;
                     @let steps = b.cost.steps as f64;
                     tr {
                         th scope="row" { (digits(b.solids_fraction)) } td { (b.cost.steps) }
                         td { (digits(b.cost.pressure_iterations as f64 / steps)) }
                         td { (digits(b.cost.seconds)) }
                         td { (digits(1e6 * b.cost.seconds / (steps * cells))) }
+                        td { (digits(row.rate)) }
+                        td { (number(b.slip.mean.zip(b.slip.standard_error).map(|(mean, e)| 100.0 * e / mean))) }
+                        td { (number(row.one_percent)) }
                     }
                 } }))
         @if let Some(machine) = &folder.facts.machine {
