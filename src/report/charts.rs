@@ -321,20 +321,36 @@ fn slip(folder: &Folder, trace: &Trace) -> Option<Chart> {
     Some(figure::series_chart(&trace.times, &slip, start, uniform))
 }
 
-/// Filter width at which several runs are compared, in either reference length.
-const COMMON_WIDTHS: [(ReferenceLength, f64); 2] =
-    [(ReferenceLength::One, 2.0), (ReferenceLength::Two, 30.0)];
+/// What several runs are compared in: name of the figure, quantity, its axis, and the filter width, in
+/// either reference length.
+const COMMON: [(&str, &str, &str, ReferenceLength, f64); 4] = [
+    ("runs_L_I", "drag_correction", "drag correction H [-]", ReferenceLength::One, 2.0),
+    ("runs_L_II", "drag_correction", "drag correction H [-]", ReferenceLength::Two, 30.0),
+    ("runs_solids_pressure", "solids_pressure", "P_s,f/(ρ_s u_t²) [-]", ReferenceLength::Two, 30.0),
+    (
+        "runs_solids_viscosity",
+        "solids_viscosity",
+        "μ_s,f/(ρ_s u_t³/g) [-]",
+        ReferenceLength::Two,
+        30.0,
+    ),
+];
 
-/// The drag corrections of several runs beside each other.
+/// Closures of several runs beside each other, bin by bin.
 pub(super) fn side_by_side(folders: &[Folder]) -> Vec<Drawing> {
-    let one = |(reference, width)| Drawing {
-        name: format!("runs_{reference}"),
+    let one = |(name, quantity, label, reference, width): (&str, &str, &str, _, _)| Drawing {
+        name: name.into(),
         caption: format!(
-            "Drag correction of every run, at its filter width nearest to {width} {reference}."
+            "{} of every run, at its filter width nearest to {width} {reference}.",
+            match quantity {
+                "drag_correction" => "Drag correction",
+                "solids_pressure" => "Filtered solids pressure",
+                _ => "Filtered solids viscosity",
+            }
         ),
-        chart: together(folders, reference, width),
+        chart: together(folders, quantity, label, reference, width),
     };
-    COMMON_WIDTHS.into_iter().map(one).collect()
+    COMMON.into_iter().map(one).collect()
 }
 
 /// Everything that is drawn of several runs together, in the order of the page.
@@ -344,21 +360,25 @@ pub fn drawings_together(folders: &[Folder]) -> Vec<Drawing> {
     all
 }
 
-/// The drag corrections of several runs at the width nearest to `width` reference lengths, a colour for
+/// A quantity of several runs, scaled, at the width nearest to `width` reference lengths, a colour for
 /// each run.
-fn together(folders: &[Folder], reference: ReferenceLength, width: f64) -> Chart {
+fn together(
+    folders: &[Folder],
+    quantity: &str,
+    label: &str,
+    reference: ReferenceLength,
+    width: f64,
+) -> Chart {
     let series = folders.iter().enumerate().filter_map(|(colour, folder)| {
-        let rows = rows(folder, "drag_correction");
+        let rows = rows(folder, quantity);
         let nearest = rows
             .iter()
             .map(|row| reference.scaled_width(row))
             .min_by(|a, b| (a / width).ln().abs().total_cmp(&(b / width).ln().abs()))?;
-        let points =
-            rows.iter().filter(|row| reference.scaled_width(row) == nearest).map(|row| Point {
-                x: row.solids_fraction,
-                y: row.value,
-                interval: Some([row.low_95, row.high_95]),
-            });
+        let points = rows
+            .iter()
+            .filter(|row| reference.scaled_width(row) == nearest)
+            .map(|row| scaled(row, row.solids_fraction));
         Some(Series {
             name: format!("{}, Δ_f = {} {reference}", folder.name, figure::digits(nearest)),
             colour,
@@ -371,7 +391,10 @@ fn together(folders: &[Folder], reference: ReferenceLength, width: f64) -> Chart
         title: String::new(),
         axes: [
             Axis::linear("filtered solids fraction φ [-]"),
-            Axis::linear("drag correction H [-]").between(0.0, 1.0),
+            match quantity {
+                "drag_correction" => Axis::linear(label).between(0.0, 1.0),
+                _ => Axis::linear(label),
+            },
         ],
         series: series.collect(),
         marks: Vec::new(),
