@@ -27,8 +27,8 @@ pub struct Layout<const D: usize> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row<const D: usize> {
     at: [isize; D],
-    /// How many rows.
-    count: usize,
+    /// Elements from its first cell to its last.
+    extent: usize,
 }
 
 impl<const D: usize> Row<D> {
@@ -77,7 +77,7 @@ impl<const D: usize> Layout<D> {
             at[axis] = (row % self.cells[axis]) as isize;
             row /= self.cells[axis];
         }
-        Row { at, count: 1 }
+        Row { at, extent: self.extent(1) }
     }
 
     /// The number of a row that is not shifted.
@@ -92,7 +92,7 @@ impl<const D: usize> Layout<D> {
         let rows = self.rows_of_slab();
         let near = HALO.min(rows);
         let inner = rows.saturating_sub(2 * near);
-        let mut pieces = [Row { at: [0; D], count: 1 }; 2 * HALO + 1];
+        let mut pieces = [Row { at: [0; D], extent: 0 }; 2 * HALO + 1];
         let mut filled = 0;
         let mut row = 0;
         while row < rows {
@@ -100,17 +100,18 @@ impl<const D: usize> Layout<D> {
             // The rows of a slab are counted along the second axis.
             piece.at[1] = row as isize;
             piece.at[D - 1] = slab;
-            piece.count = if row == near && inner > 0 { inner } else { 1 };
-            row += piece.count;
+            let count = if row == near && inner > 0 { inner } else { 1 };
+            piece.extent = self.extent(count);
+            row += count;
             filled += 1;
         }
         pieces.into_iter().take(filled)
     }
 
-    /// Elements of a row, or from the first of several to the last.
+    /// Elements from the first cell of `rows` rows to the last.
     #[inline(always)]
-    fn extent(&self, row: Row<D>) -> usize {
-        self.cells[0] + (row.count - 1) * self.stride[1]
+    fn extent(&self, rows: usize) -> usize {
+        self.cells[0] + (rows - 1) * self.stride[1]
     }
 
     /// The rows that make up the cells of a [`Row`].
@@ -132,19 +133,29 @@ impl<const D: usize> Layout<D> {
     fn offset(&self, row: Row<D>) -> usize {
         let mut offset = 0;
         for axis in 1..D {
-            let (index, n) = (row.at[axis], self.cells[axis] as isize);
-            // Few rows lie beyond the boundary; a remainder for each would cost as much as a kernel.
-            let index = if index >= 0 && index < n { index } else { index.rem_euclid(n) };
-            offset += index as usize * self.stride[axis];
+            offset += self.wrapped(row, axis) * self.stride[axis];
         }
         offset.wrapping_add_signed(row.at[0])
     }
 
     /// Offset of a row of a [`Ring`] whose slabs are a power of two.
     #[inline(always)]
-    fn offset_in_ring(&self, mut row: Row<D>) -> usize {
-        row.at[D - 1] &= self.cells[D - 1] as isize - 1;
-        self.offset(row)
+    fn offset_in_ring(&self, row: Row<D>) -> usize {
+        let place = row.at[D - 1] & (self.cells[D - 1] as isize - 1);
+        let mut offset = place as usize * self.stride[D - 1];
+        for axis in 1..D - 1 {
+            offset += self.wrapped(row, axis) * self.stride[axis];
+        }
+        offset.wrapping_add_signed(row.at[0])
+    }
+
+    /// Index of a row along an axis, on this side of the boundary.
+    #[inline(always)]
+    fn wrapped(&self, row: Row<D>, axis: usize) -> usize {
+        let (index, n) = (row.at[axis], self.cells[axis] as isize);
+        // Few rows lie beyond the boundary; a remainder for each would cost as much as a kernel.
+        let index = if index >= 0 && index < n { index } else { index.rem_euclid(n) };
+        index as usize
     }
 
     /// Length of the memory of all rows with their halos.
@@ -156,7 +167,24 @@ impl<const D: usize> Layout<D> {
     #[inline]
     pub(crate) fn span(&self, row: Row<D>) -> std::ops::Range<isize> {
         let begin = self.offset(row) as isize;
-        begin - HALO as isize..begin + (self.cells[0] + HALO) as isize
+        begin - HALO as isize..begin + (row.extent + HALO) as isize
+    }
+
+    /// The rows from number `begin` to before `end` in as few pieces as can be: rows whose neighbours, one
+    /// away along any axis, lie as they do in memory are one.
+    #[inline(always)]
+    pub(crate) fn runs(&self, begin: usize, end: usize) -> impl Iterator<Item = Row<D>> + use<D> {
+        let (layout, n) = (*self, self.cells[1]);
+        let mut number = begin;
+        std::iter::from_fn(move || {
+            let mut row = (number < end).then(|| layout.row(number))?;
+            let index = row.at[1] as usize;
+            let inner = index > 0 && index + 1 < n;
+            let count = if inner { (n - 1 - index).min(end - number) } else { 1 };
+            row.extent = layout.extent(count);
+            number += count;
+            Some(row)
+        })
     }
 
     /// Elements of the rows of a slab with their halos.
@@ -169,14 +197,18 @@ impl<const D: usize> Layout<D> {
     pub(crate) fn wrap<R: Copy>(&self, lines: &mut [R]) {
         let n = self.cells[0];
         let wrap = |line: &mut [R]| {
-            for i in 0..HALO {
-                // A remainder costs more than the rest of this.
-                let shift = if n >= HALO { i } else { i % n };
-                line[HALO - 1 - i] = line[HALO + n - 1 - shift];
-                line[HALO + n + i] = line[HALO + shift];
+            if n >= HALO {
+                // Copies of a length that is known are two moves each.
+                line.copy_within(n..n + HALO, 0);
+                line.copy_within(HALO..2 * HALO, n + HALO);
+            } else {
+                for i in 0..HALO {
+                    line[HALO - 1 - i] = line[HALO + n - 1 - i % n];
+                    line[HALO + n + i] = line[HALO + i % n];
+                }
             }
         };
-        if D == 2 {
+        if lines.len() == n + 2 * HALO {
             // One row has no need of a division.
             wrap(lines);
         } else {
@@ -230,8 +262,14 @@ impl<R: Real, const D: usize> Field<R, D> {
     /// As many cells as a row has.
     #[inline(always)]
     pub fn row(&self, row: Row<D>) -> &[R] {
-        let at = self.origin + self.layout.offset(row);
-        &self.data[at..at + self.layout.extent(row)]
+        let at = self.at(row);
+        &self.data[at..at + row.extent]
+    }
+
+    /// Where a row begins.
+    #[inline(always)]
+    fn at(&self, row: Row<D>) -> usize {
+        self.origin + self.layout.offset(row)
     }
 
     /// A row, to be written; [`Field::wrap`] must follow before its neighbours are read.
@@ -334,9 +372,9 @@ impl<R: Real, const D: usize> Slabs<'_, R, D> {
         let slabs = self.first as isize..(self.first + self.data.len() / slab) as isize;
         if slabs.contains(&row.slab()) {
             let at = self.layout.offset(row) - self.first * slab + PAD / 2;
-            &mut self.data[Layout::<D>::with_halo(at, self.layout.extent(row))]
+            &mut self.data[Layout::<D>::with_halo(at, row.extent)]
         } else {
-            &mut spare[..self.layout.extent(row) + 2 * HALO]
+            &mut spare[..row.extent + 2 * HALO]
         }
     }
 }
@@ -378,21 +416,21 @@ impl<R: Real, const D: usize> Ring<R, D> {
         }
         let Field { layout, data, origin } = &mut self.field;
         let at = *origin + layout.offset_in_ring(row);
-        &mut data[Layout::<D>::with_halo(at, layout.extent(row))]
+        &mut data[Layout::<D>::with_halo(at, row.extent)]
     }
 
     /// As [`Field::row`].
     #[inline(always)]
     pub(crate) fn row(&self, row: Row<D>) -> &[R] {
         let at = self.at(row);
-        &self.field.data[at..at + self.field.layout.extent(row)]
+        &self.field.data[at..at + row.extent]
     }
 
     /// A row and its halo.
     #[inline(always)]
     pub(crate) fn whole(&self, row: Row<D>) -> &[R] {
         let at = self.at(row);
-        &self.field.data[Layout::<D>::with_halo(at, self.field.layout.extent(row))]
+        &self.field.data[Layout::<D>::with_halo(at, row.extent)]
     }
 
     /// Where a row begins.
@@ -413,6 +451,29 @@ impl<R: Real, const D: usize> Ring<R, D> {
 pub(crate) trait Lines<R, const D: usize>: Sync {
     /// As many cells as a row has.
     fn row(&self, row: Row<D>) -> &[R];
+
+    /// The rows from two behind to one ahead along `axis`.
+    fn across(&self, row: Row<D>, axis: usize) -> [&[R]; 4];
+}
+
+/// [`Lines::across`] of something with `row` and `at`, where its elements are.
+macro_rules! across {
+    ($self:ident, $data:expr, $row:ident, $axis:ident) => {
+        if $axis == 0 {
+            // One place is all there is to find.
+            let behind = &$data[$self.at($row) - 2..][..$row.extent + 3];
+            let n = $row.extent;
+            [&behind[..n], &behind[1..1 + n], &behind[2..2 + n], &behind[3..3 + n]]
+        } else {
+            // A closure would be called.
+            [
+                $self.row($row.near($axis, -2)),
+                $self.row($row.near($axis, -1)),
+                $self.row($row),
+                $self.row($row.near($axis, 1)),
+            ]
+        }
+    };
 }
 
 impl<R: Real, const D: usize> Lines<R, D> for Field<R, D> {
@@ -420,12 +481,22 @@ impl<R: Real, const D: usize> Lines<R, D> for Field<R, D> {
     fn row(&self, row: Row<D>) -> &[R] {
         self.row(row)
     }
+
+    #[inline(always)]
+    fn across(&self, row: Row<D>, axis: usize) -> [&[R]; 4] {
+        across!(self, self.data, row, axis)
+    }
 }
 
 impl<R: Real, const D: usize> Lines<R, D> for Ring<R, D> {
     #[inline(always)]
     fn row(&self, row: Row<D>) -> &[R] {
         self.row(row)
+    }
+
+    #[inline(always)]
+    fn across(&self, row: Row<D>, axis: usize) -> [&[R]; 4] {
+        across!(self, self.field.data, row, axis)
     }
 }
 

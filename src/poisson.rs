@@ -124,7 +124,7 @@ impl<const D: usize> Level<D> {
 
     fn set_diagonal(&mut self) {
         let (rows, weights) = (self.rows, &self.weights);
-        rows.each([&mut self.inverse_diagonal], |o, [inverse]| {
+        rows.map([&mut self.inverse_diagonal], |o, [inverse]| {
             let weights: [[&[Fast]; 2]; D] =
                 per_axis!(D, |a| [weights[a].row(o), weights[a].row(o.near(a, 1))]);
             inverse_diagonal_row(inverse, weights);
@@ -135,7 +135,7 @@ impl<const D: usize> Level<D> {
     /// solution += step.
     fn sweep(&mut self, keep: Fast, scale: Fast) {
         let Self { rows, weights, right, solution, other, step, inverse_diagonal, .. } = self;
-        rows.each([&mut *other, step], |o, [new, step]| {
+        rows.map([&mut *other, step], |o, [new, step]| {
             let stencil = Stencil::at(weights, solution, o);
             sweep_row(new, step, stencil, right.row(o), inverse_diagonal.row(o), keep, scale);
         });
@@ -145,7 +145,7 @@ impl<const D: usize> Level<D> {
     /// The first sweep, from a zero solution.
     fn start(&mut self, scale: Fast) {
         let Self { rows, right, step, solution, inverse_diagonal, .. } = self;
-        rows.each([step, solution], |o, [step, solution]| {
+        rows.map([step, solution], |o, [step, solution]| {
             first_row(step, solution, right.row(o), inverse_diagonal.row(o), scale);
         });
     }
@@ -172,7 +172,7 @@ impl<const D: usize> Level<D> {
     /// right - A solution, into `other`.
     fn set_residual(&mut self) {
         let Self { rows, weights, right, solution, other, .. } = self;
-        rows.each([other], |o, [residual]| {
+        rows.map([other], |o, [residual]| {
             residual_row(residual, Stencil::at(weights, solution, o), right.row(o));
         });
     }
@@ -350,33 +350,6 @@ simd! {
     }
 }
 
-simd! {
-    /// (Σ z r, Σ z q) of a row, in double precision.
-    fn two_dots[R: Real](z: &[Fast], r: &[R], q: &[R]) -> (f64, f64) {
-        const LANES: usize = 16;
-        let (r, q) = (&r[..z.len()], &q[..z.len()]);
-        let mut zr = [0.0; LANES];
-        let mut zq = [0.0; LANES];
-        let whole = z.len() - z.len() % LANES;
-        for ((z, r), q) in z[..whole].chunks_exact(LANES)
-            .zip(r[..whole].chunks_exact(LANES))
-            .zip(q[..whole].chunks_exact(LANES))
-        {
-            for lane in 0..LANES {
-                let z = f64::from(z[lane]);
-                zr[lane] += z * r[lane].f64();
-                zq[lane] += z * q[lane].f64();
-            }
-        }
-        let mut sums = (zr.iter().sum::<f64>(), zq.iter().sum::<f64>());
-        for i in whole..z.len() {
-            sums.0 += f64::from(z[i]) * r[i].f64();
-            sums.1 += f64::from(z[i]) * q[i].f64();
-        }
-        sums
-    }
-}
-
 impl<R: Real, const D: usize> Poisson<R, D> {
     /// A solver for `grid`; several threads if `parallel`.
     pub fn new(grid: &Grid<D>, parallel: bool) -> Self {
@@ -401,7 +374,7 @@ impl<R: Real, const D: usize> Poisson<R, D> {
     pub fn set_coefficient(&mut self, coefficient: &Faces<R, D>) {
         for axis in 0..D {
             let scale = R::of(self.inverse_spacing_squared[axis]);
-            self.rows.each([&mut self.weights[axis]], |o, [weights]| {
+            self.rows.map([&mut self.weights[axis]], |o, [weights]| {
                 weight_row(weights, coefficient[axis].row(o), scale);
             });
         }
@@ -418,7 +391,7 @@ impl<R: Real, const D: usize> Poisson<R, D> {
         for axis in 0..D {
             let fine = &self.weights[axis];
             let Level { rows, weights, .. } = &mut self.levels[0];
-            rows.each([&mut weights[axis]], |o, [weights]| convert_row(weights, fine.row(o)));
+            rows.map([&mut weights[axis]], |o, [weights]| convert_row(weights, fine.row(o)));
         }
         self.levels[0].set_diagonal();
         for n in 1..self.levels.len() {
@@ -463,14 +436,14 @@ impl<R: Real, const D: usize> Poisson<R, D> {
             self.precondition(iteration >= PATIENCE);
             let Self { levels, residual, direction, image, weights, .. } = self;
             let z = &levels[0].solution;
-            let (zr, zq) = rows
-                .fold(&|o| two_dots(z.row(o), residual.row(o), image.row(o)), &|a, b| {
-                    (a.0 + b.0, a.1 + b.1)
-                });
+            let (zr, zq) = rows.fold(
+                &|o| (dot(z.row(o), residual.row(o)), dot(z.row(o), image.row(o))),
+                &|a, b| (a.0 + b.0, a.1 + b.1),
+            );
             // Polak-Ribière: z·(r - r_old) = -alpha z·q of the step before; it forgives a
             // preconditioner that rounding makes slightly unsymmetric.
             let beta = if iteration == 0 { 0.0 } else { (-alpha * zq / old).max(0.0) };
-            rows.each([&mut *direction], |o, [p]| direction_row(p, z.row(o), R::of(beta)));
+            rows.map([&mut *direction], |o, [p]| direction_row(p, z.row(o), R::of(beta)));
             let curvature = rows.reduce(
                 [&mut *image],
                 &|o, [image]| {
@@ -510,7 +483,7 @@ impl<R: Real, const D: usize> Poisson<R, D> {
         let Self { levels, residual, .. } = self;
         let scale = first_sweep(levels, twice);
         let Level { rows, right, step, solution, inverse_diagonal, .. } = &mut levels[0];
-        rows.each([right, step, solution], |o, [right, step, solution]| {
+        rows.map([right, step, solution], |o, [right, step, solution]| {
             let inverse = inverse_diagonal.row(o);
             start_row(right, step, solution, residual.row(o), inverse, scale);
         });
@@ -658,21 +631,9 @@ fn restrict<const D: usize>(fine: &Level<D>, right: &mut Field<Fast, D>) {
     let coarse = Rows::new(layout, false);
     coarse.each([right], |o, [right]| {
         let (fine_rows, count) = fine_rows(fine, &layout, o, None);
-        right.fill(0.0);
-        for &row in &fine_rows[..count] {
-            let residual = fine.other.row(row);
-            if fine.coarsening[0] == 2 {
-                for (right, pair) in right.iter_mut().zip(residual.chunks_exact(2)) {
-                    *right += pair[0] + pair[1];
-                }
-            } else {
-                for (right, residual) in right.iter_mut().zip(residual) {
-                    *right += residual;
-                }
-            }
-        }
+        let residuals = fine_rows.map(|row| fine.other.row(row));
         let scale = 1.0 / (count * fine.coarsening[0]) as Fast;
-        right.iter_mut().for_each(|right| *right *= scale);
+        sum_row(right, &residuals[..count], Along::of(fine.coarsening[0]), scale);
     });
 }
 
@@ -689,18 +650,67 @@ fn prolong<const D: usize>(coarse: &Level<D>, fine: &mut Level<D>) {
             rest /= layout.cells[axis];
             from = from.near(axis, (index / coarsening[axis]) as isize);
         }
-        let correction = coarse.solution.row(from);
-        if coarsening[0] == 2 {
-            for (pair, correction) in solution.chunks_exact_mut(2).zip(correction) {
-                pair[0] += correction;
-                pair[1] += correction;
+        spread_row(solution, coarse.solution.row(from), coarsening[0]);
+    });
+}
+
+/// What of a fine row makes a coarse one.
+#[derive(Clone, Copy)]
+enum Along {
+    /// Each element.
+    Each,
+    /// Each pair of elements.
+    Pairs,
+    /// The first of each pair.
+    Firsts,
+}
+
+impl Along {
+    /// All that `coarsening` fine cells have.
+    fn of(coarsening: usize) -> Self {
+        if coarsening == 2 { Self::Pairs } else { Self::Each }
+    }
+}
+
+simd! {
+    /// `scale` times the sum of fine rows.
+    fn sum_row[](coarse: &mut [Fast], fine: &[&[Fast]], along: Along, scale: Fast) {
+        // Of the first row, and of the others on top.
+        macro_rules! add {
+            (|$fine:ident, $n:literal| $value:expr) => {
+                for (row, fine) in fine.iter().enumerate() {
+                    let sums = coarse.iter_mut().zip(fine.chunks_exact($n));
+                    if row == 0 {
+                        sums.for_each(|(sum, $fine)| *sum = $value);
+                    } else {
+                        sums.for_each(|(sum, $fine)| *sum += $value);
+                    }
+                }
+            };
+        }
+        match along {
+            Along::Each => add!(|fine, 1| fine[0]),
+            Along::Pairs => add!(|pair, 2| pair[0] + pair[1]),
+            Along::Firsts => add!(|pair, 2| pair[0]),
+        }
+        coarse.iter_mut().for_each(|coarse| *coarse *= scale);
+    }
+}
+
+simd! {
+    /// Adds to each of `coarsening` fine cells what the coarse one has.
+    fn spread_row[](fine: &mut [Fast], coarse: &[Fast], coarsening: usize) {
+        if coarsening == 2 {
+            for (pair, coarse) in fine.chunks_exact_mut(2).zip(coarse) {
+                pair[0] += coarse;
+                pair[1] += coarse;
             }
         } else {
-            for (solution, correction) in solution.iter_mut().zip(correction) {
-                *solution += correction;
+            for (fine, coarse) in fine.iter_mut().zip(coarse) {
+                *fine += coarse;
             }
         }
-    });
+    }
 }
 
 /// Coarse face coefficients: the mean of the coincident fine faces, over the square of the wider
@@ -713,30 +723,13 @@ fn coarsen_weights<const D: usize>(fine: &Level<D>, coarse: &mut Level<D>) {
         let wider = if fine.coarsening[axis] == 2 { 0.25 } else { 1.0 };
         coarse.rows.each([&mut coarse.weights[axis]], |o, [weights]| {
             let (fine_rows, count) = fine_rows(fine, &layout, o, Some(axis));
-            weights.fill(0.0);
-            let along_row = if fine.coarsening[0] == 2 && axis > 0 { 2 } else { 1 };
-            for &row in &fine_rows[..count] {
-                let row = source.row(row);
-                match (fine.coarsening[0], axis) {
-                    (2, 0) => {
-                        for (w, pair) in weights.iter_mut().zip(row.chunks_exact(2)) {
-                            *w += pair[0];
-                        }
-                    }
-                    (2, _) => {
-                        for (w, pair) in weights.iter_mut().zip(row.chunks_exact(2)) {
-                            *w += pair[0] + pair[1];
-                        }
-                    }
-                    _ => {
-                        for (w, fine) in weights.iter_mut().zip(row) {
-                            *w += fine;
-                        }
-                    }
-                }
-            }
-            let scale = wider / (count * along_row) as Fast;
-            weights.iter_mut().for_each(|w| *w *= scale);
+            let rows = fine_rows.map(|row| source.row(row));
+            let along = match (fine.coarsening[0], axis) {
+                (2, 0) => Along::Firsts,
+                (coarsening, _) => Along::of(coarsening),
+            };
+            let along_row = if matches!(along, Along::Pairs) { 2 } else { 1 };
+            sum_row(weights, &rows[..count], along, wider / (count * along_row) as Fast);
         });
     }
 }

@@ -146,6 +146,22 @@ impl<const D: usize> Rows<D> {
         self.reduce(outputs, &kernel, &|(), ()| ());
     }
 
+    /// [`Rows::each`] for a kernel that makes each element of its own neighbours, none further than one
+    /// away: rows that lie in memory as their neighbours do are one long row, with what lies between them.
+    pub fn map<R: Real, const K: usize>(
+        &self,
+        mut outputs: [&mut Field<R, D>; K],
+        kernel: impl Fn(Row<D>, [&mut [R]; K]) + Sync,
+    ) {
+        let shared = self.shared(&mut outputs);
+        let leaf = |begin, end| {
+            for row in self.layout.runs(begin, end) {
+                self.one(row, &shared, &kernel);
+            }
+        };
+        self.tree(0, self.layout.rows(), &leaf, &|(), ()| ());
+    }
+
     /// [`Rows::each`] whose kernel also returns a number (or several) per row, combined over the
     /// rows in an order that does not depend on the number of threads.
     pub fn reduce<R: Real, S: Send, const K: usize>(
@@ -154,11 +170,22 @@ impl<const D: usize> Rows<D> {
         kernel: &(impl Fn(Row<D>, [&mut [R]; K]) -> S + Sync),
         combine: &(impl Fn(S, S) -> S + Sync),
     ) -> S {
-        for output in &outputs {
+        let shared = self.shared(&mut outputs);
+        let one = |row| self.one(self.layout.row(row), &shared, kernel);
+        let leaf =
+            |begin, end| (begin + 1..end).fold(one(begin), |all, row| combine(all, one(row)));
+        self.tree(0, self.layout.rows(), &leaf, combine)
+    }
+
+    /// The outputs' memory.
+    fn shared<R: Real, const K: usize>(
+        &self,
+        outputs: &mut [&mut Field<R, D>; K],
+    ) -> Outputs<R, K> {
+        for output in &*outputs {
             assert_eq!(output.layout, self.layout, "an output of another layout");
         }
-        let shared = Outputs(outputs.each_mut().map(|field| field.memory()));
-        self.tree(0, self.layout.rows(), &shared, kernel, combine)
+        Outputs(outputs.each_mut().map(|field| field.memory()))
     }
 
     /// Combines a number per row, without outputs.
@@ -170,24 +197,20 @@ impl<const D: usize> Rows<D> {
         self.reduce::<f64, S, 0>([], &|row, []| kernel(row), combine)
     }
 
-    fn tree<R: Real, S: Send, const K: usize>(
+    /// What `leaf` makes of the rows from `begin` to before `end`, a few at a time.
+    fn tree<S: Send>(
         &self,
         begin: usize,
         end: usize,
-        outputs: &Outputs<R, K>,
-        kernel: &(impl Fn(Row<D>, [&mut [R]; K]) -> S + Sync),
+        leaf: &(impl Fn(usize, usize) -> S + Sync),
         combine: &(impl Fn(S, S) -> S + Sync),
     ) -> S {
         if end - begin <= LEAF {
-            let mut result = self.one(begin, outputs, kernel);
-            for row in begin + 1..end {
-                result = combine(result, self.one(row, outputs, kernel));
-            }
-            return result;
+            return leaf(begin, end);
         }
         let middle = begin + (end - begin).div_ceil(2).next_multiple_of(LEAF);
-        let lower = || self.tree(begin, middle, outputs, kernel, combine);
-        let upper = || self.tree(middle, end, outputs, kernel, combine);
+        let lower = || self.tree(begin, middle, leaf, combine);
+        let upper = || self.tree(middle, end, leaf, combine);
         let (lower, upper) = join(self.parallel, lower, upper);
         combine(lower, upper)
     }
@@ -195,11 +218,10 @@ impl<const D: usize> Rows<D> {
     #[inline(always)]
     fn one<R: Real, S, const K: usize>(
         &self,
-        row: usize,
+        row: Row<D>,
         outputs: &Outputs<R, K>,
         kernel: &impl Fn(Row<D>, [&mut [R]; K]) -> S,
     ) -> S {
-        let row = self.layout.row(row);
         let span = self.layout.span(row);
         // SAFETY: `reduce` holds the outputs mutably, each with memory for this layout from `memory`
         // on and a halo before it, and `tree` visits every row once; rows with their halos do not
@@ -324,7 +346,7 @@ const LANES: usize = 16;
 
 simd! {
     /// Σ a b over a row, in double precision.
-    pub(crate) fn dot[R: Real](a: &[R], b: &[R]) -> f64 {
+    pub(crate) fn dot[A: Real, B: Real](a: &[A], b: &[B]) -> f64 {
         let b = &b[..a.len()];
         let mut lanes = [0.0; LANES];
         let whole = a.len() - a.len() % LANES;
@@ -381,6 +403,45 @@ mod tests {
         }
         let plain: f64 = q.interior().flatten().map(|q| q * q).sum();
         assert!((serial / plain - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn long_rows_make_what_rows_make() {
+        fn check<const D: usize>(cells: [usize; D]) {
+            let layout = Layout::new(cells);
+            let mut q = Field::<f64, D>::zeros(layout);
+            let mut count = 0.0;
+            q.set(|_| {
+                count += 1.0;
+                f64::sin(count)
+            });
+            let rows = Rows::new(layout, true);
+            let kernel = |o: Row<D>, [out]: [&mut [f64]; 1]| {
+                for axis in 0..D {
+                    let (below, above) = (q.row(o.near(axis, -1)), q.row(o.near(axis, 1)));
+                    for i in 0..out.len() {
+                        out[i] += (1.0 + axis as f64) * above[i] - below[i];
+                    }
+                }
+            };
+            let mut outputs = [(); 2].map(|()| Field::<f64, D>::zeros(layout));
+            let [by_row, by_piece] = &mut outputs;
+            rows.each([by_row], kernel);
+            rows.map([by_piece], kernel);
+            let [by_row, by_piece] = &outputs;
+            for n in 0..layout.rows() {
+                for shift in [-2, 0, 2] {
+                    let row = layout.row(n).near(0, shift);
+                    assert_eq!(by_row.row(row), by_piece.row(row), "{cells:?}, row {n}");
+                }
+            }
+        }
+        check([8, 30]);
+        check([6, 2]);
+        check([1, 5]);
+        check([16, 9, 5]);
+        check([4, 1, 6]);
+        check([5, 2, 3]);
     }
 
     #[test]

@@ -445,7 +445,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let inertia = Inertia::new(&self.medium, R::of(dt));
         let (phi, drag, increment) = (&self.phi, &self.drag, &self.increment);
         for axis in 0..D {
-            rows.each([&mut self.solids[axis], &mut self.gas[axis]], |row, [us, ug]| {
+            rows.map([&mut self.solids[axis], &mut self.gas[axis]], |row, [us, ug]| {
                 let below = row.near(axis, -1);
                 exchange::correct_row(
                     us,
@@ -458,7 +458,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
                 );
             });
         }
-        rows.each([&mut self.pressure], |row, [p]| exchange::add_row(p, increment.row(row)));
+        rows.map([&mut self.pressure], |row, [p]| exchange::add_row(p, increment.row(row)));
 
         self.keep_gas_flux(dt);
 

@@ -228,52 +228,60 @@ simd! {
         packed: [R; 2],
         inverse_spacing: [R; D],
     ) -> [R; 3] {
-        const LANES: usize = 16;
+        // As many cells as are looked at together: maps vectorise, and maxima of what is mapped do.
+        const BLOCK: usize = 64;
         let n = phi[0][1].len();
         let (solids, gas, phi) = (by_axis(solids, n), by_axis(gas, n), by_axis(phi, n));
         let here = phi[0][1];
         let [packed, least] = packed;
         let half = R::of(0.5);
-        let mut largest = [[R::ZERO; LANES]; 3];
-        macro_rules! rate {
-            ($u:ident, $i:ident) => {
-                sum_axes!(D, $u, |[lower, upper], a| {
-                    inverse_spacing[a] * lower[$i].abs().max(upper[$i].abs())
-                })
-            };
-        }
-        macro_rules! see {
-            ($lane:expr, $i:ident) => {
-                let fast = R::select(here[$i] > thin, rate!(solids, $i), R::ZERO);
+        let mut largest = [R::ZERO; 3];
+        let mut rates = [[R::ZERO; BLOCK]; 3];
+        let mut begin = 0;
+        while begin < n {
+            let end = n.min(begin + BLOCK);
+            let [fast, carrying, filling] = &mut rates;
+            for (lane, i) in (begin..end).enumerate() {
+                let rate = sum_axes!(D, solids, |[lower, upper], a| {
+                    inverse_spacing[a] * lower[i].abs().max(upper[i].abs())
+                });
+                fast[lane] = R::select(here[i] > thin, rate, R::ZERO);
+                carrying[lane] = sum_axes!(D, gas, |[lower, upper], a| {
+                    inverse_spacing[a] * lower[i].abs().max(upper[i].abs())
+                });
                 // What limited slopes may make of what flows in; what flows out is a mean.
-                let filling = sum_axes!(D, solids, |[lower, upper], a| {
+                let inflow = sum_axes!(D, solids, |[lower, upper], a| {
                     let [below, here, above] = phi[a];
-                    let (below, here, above) = (below[$i], here[$i], above[$i]);
-                    let (up, down) = (lower[$i].max(R::ZERO), -upper[$i].min(R::ZERO));
-                    let (from, to) = (lower[$i].min(R::ZERO), -upper[$i].max(R::ZERO));
+                    let (below, here, above) = (below[i], here[i], above[i]);
+                    let (up, down) = (lower[i].max(R::ZERO), -upper[i].min(R::ZERO));
+                    let (from, to) = (lower[i].min(R::ZERO), -upper[i].max(R::ZERO));
                     inverse_spacing[a]
                         * (up * below.max(here)
                             + down * above.max(here)
                             + half * (from * (below + here) + to * (here + above)))
                 });
-                let room = (packed - here[$i]).max(least);
-                largest[0][$lane] = largest[0][$lane].max(fast);
-                largest[1][$lane] = largest[1][$lane].max(rate!(gas, $i));
-                largest[2][$lane] = largest[2][$lane].max(filling / room);
-            };
-        }
-        let whole = n - n % LANES;
-        let mut at = 0;
-        while at < whole {
-            for lane in 0..LANES {
-                let i = at + lane;
-                see!(lane, i);
+                filling[lane] = inflow / (packed - here[i]).max(least);
             }
-            at += LANES;
+            for (largest, rates) in largest.iter_mut().zip(&rates) {
+                *largest = largest.max(max_of(&rates[..end - begin]));
+            }
+            begin = end;
         }
-        for i in whole..n {
-            see!(0, i);
+        largest
+    }
+}
+
+simd! {
+    /// Largest of some numbers, or 0.
+    fn max_of[R: Real](a: &[R]) -> R {
+        const LANES: usize = 16;
+        let mut lanes = [R::ZERO; LANES];
+        let whole = a.len() - a.len() % LANES;
+        for a in a[..whole].chunks_exact(LANES) {
+            for lane in 0..LANES {
+                lanes[lane] = lanes[lane].max(a[lane]);
+            }
         }
-        largest.map(|lanes| lanes.into_iter().fold(R::ZERO, R::max))
+        a[whole..].iter().fold(lanes.into_iter().fold(R::ZERO, R::max), |m, &a| m.max(a))
     }
 }

@@ -18,13 +18,7 @@ impl<'a, R: Real> Line<'a, R> {
     /// Across the lower faces of `row` along `axis`.
     #[inline(always)]
     pub(super) fn at<const D: usize>(q: &'a impl Lines<R, D>, row: Row<D>, axis: usize) -> Self {
-        // A closure would be called.
-        Self([
-            q.row(row.near(axis, -2)),
-            q.row(row.near(axis, -1)),
-            q.row(row),
-            q.row(row.near(axis, 1)),
-        ])
+        Self(q.across(row, axis))
     }
 
     #[inline(always)]
