@@ -617,20 +617,12 @@ impl Quantity {
     /// # Panics
     /// Another number of markers, or columns of another length.
     pub fn evaluate(&self, markers: &[&[f64]], out: &mut [f64]) {
-        if self.outside == Outside::Formula {
-            return self.program.evaluate(markers, out);
-        }
-        // In pieces, so that the moved copy stays in cache.
-        let mut moved: Vec<Vec<f64>> = vec![Vec::new(); markers.len()];
-        for (piece, out) in out.chunks_mut(PIECE).enumerate() {
-            for ((moved, column), range) in moved.iter_mut().zip(markers).zip(&self.file.ranges) {
-                let part = &column[piece * PIECE..][..out.len()];
-                moved.clear();
-                moved.extend(part.iter().map(|x| self.moved(range, *x)));
+        self.program.evaluate_moved(markers, out, |number, numbers| {
+            let range = &self.file.ranges[number];
+            if self.outside == Outside::Clamp {
+                numbers.iter_mut().for_each(|x| *x = self.moved(range, *x));
             }
-            let moved: Vec<&[f64]> = moved.iter().map(|column| &column[..]).collect();
-            self.program.evaluate(&moved, out);
-        }
+        });
     }
 
     /// Whether a point lies inside the ranges.
@@ -650,9 +642,6 @@ impl Quantity {
         }
     }
 }
-
-/// Points that are moved into the ranges together.
-const PIECE: usize = 4096;
 
 #[cfg(test)]
 pub(crate) mod tests {

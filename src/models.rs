@@ -15,6 +15,9 @@ use serde::Serialize;
 
 use crate::cli::{self, ModelsCommand};
 use crate::{Failure, print, print_json, say, write};
+use points::{Columns, PADDING};
+
+mod points;
 
 pub fn models(args: &cli::Models) -> Result<(), Failure> {
     match &args.command {
@@ -168,27 +171,25 @@ fn eval(args: &cli::Eval) -> Result<(), Failure> {
     write(text)
 }
 
-/// Points that are read, evaluated and written together.
-const BATCH: usize = 1 << 16;
+/// Bytes that are read together: they, the points in them and the values stay in cache.
+const BLOCK: usize = 1 << 16;
 
-/// Evaluates the columns and empties them.
-fn batch(quantity: &Quantity, columns: &mut [Vec<f64>], values: &mut Vec<f64>) {
-    values.resize(columns[0].len(), 0.0);
-    let parts: Vec<&[f64]> = columns.iter().map(|column| &column[..]).collect();
-    quantity.evaluate(&parts, values);
-    columns.iter_mut().for_each(Vec::clear);
+/// Evaluates the points.
+fn evaluate(quantity: &Quantity, columns: &Columns, values: &mut Vec<f64>) {
+    values.resize(columns.rows(), 0.0);
+    quantity.evaluate(&columns.parts(), values);
 }
 
 fn pass_doubles(quantity: &Quantity) -> io::Result<()> {
     let count = quantity.markers().count();
     let mut stdin = io::stdin().lock();
     let mut stdout = io::stdout().lock();
-    let mut bytes = Vec::new();
-    let mut columns = vec![Vec::new(); count];
+    let mut columns = Columns::new(count);
     let (mut values, mut out) = (Vec::new(), Vec::new());
+    let mut bytes = Vec::new();
     loop {
         bytes.clear();
-        (&mut stdin).take((BATCH * count * 8) as u64).read_to_end(&mut bytes)?;
+        (&mut stdin).take((BLOCK / (8 * count) * 8 * count) as u64).read_to_end(&mut bytes)?;
         if bytes.is_empty() {
             return stdout.flush();
         }
@@ -196,12 +197,8 @@ fn pass_doubles(quantity: &Quantity) -> io::Result<()> {
             let message = format!("the input ends inside a point of {count} doubles");
             return Err(io::Error::new(io::ErrorKind::InvalidData, message));
         }
-        for point in bytes.chunks_exact(8 * count) {
-            for (column, double) in columns.iter_mut().zip(point.chunks_exact(8)) {
-                column.push(f64::from_le_bytes(double.try_into().expect("eight bytes")));
-            }
-        }
-        batch(quantity, &mut columns, &mut values);
+        columns.read_doubles(&bytes);
+        evaluate(quantity, &columns, &mut values);
         out.clear();
         out.extend(values.iter().flat_map(|value| value.to_le_bytes()));
         stdout.write_all(&out)?;
@@ -209,116 +206,49 @@ fn pass_doubles(quantity: &Quantity) -> io::Result<()> {
 }
 
 fn pass_text(quantity: &Quantity) -> io::Result<()> {
-    let count = quantity.markers().count();
+    let markers: Vec<String> = quantity.markers().map(|marker| marker.to_string()).collect();
     let mut stdin = io::stdin().lock();
     let mut stdout = io::stdout().lock();
-    let mut columns = vec![Vec::new(); count];
-    let (mut values, mut out) = (Vec::new(), Vec::<u8>::new());
-    let mut text: Vec<u8> = Vec::new();
-    let mut shortest = zmij::Buffer::new();
-    let mut line_number = 0;
-    let mut ended = false;
-    while !ended {
-        let before = text.len();
-        (&mut stdin).take(1 << 20).read_to_end(&mut text)?;
-        ended = text.len() == before;
-        // What follows the last line break is the start of the next line.
-        let end = match (ended, text.iter().rposition(|byte| *byte == b'\n')) {
-            (true, _) => text.len(),
-            (false, Some(at)) => at + 1,
-            (false, None) => continue,
-        };
-        read_points(&text[..end], &mut line_number, quantity, &mut columns)?;
-        text.drain(..end);
-        if !columns[0].is_empty() {
-            batch(quantity, &mut columns, &mut values);
-            out.clear();
-            for value in &values {
-                out.extend_from_slice(shortest.format(*value).as_bytes());
-                out.push(b'\n');
-            }
-            stdout.write_all(&out)?;
-        }
-    }
-    stdout.flush()
-}
-
-/// Adds the points of whole lines; a blank line has none. `number` counts the lines before.
-fn read_points(
-    text: &[u8],
-    number: &mut usize,
-    quantity: &Quantity,
-    columns: &mut [Vec<f64>],
-) -> io::Result<()> {
-    let bad = |number: usize, why: String| {
-        io::Error::new(io::ErrorKind::InvalidData, format!("standard input, line {number}: {why}"))
-    };
-    let (mut at, mut found) = (0, 0);
+    let mut columns = Columns::new(markers.len());
+    let (mut values, mut out) = (Vec::new(), Vec::new());
+    let mut text = vec![0; BLOCK + PADDING];
+    // How much of it is there, and how many lines were before.
+    let (mut length, mut number) = (0, 0);
     loop {
-        let byte = text.get(at).copied();
-        match byte {
-            Some(b' ' | b',' | b'\t' | b'\r') => at += 1,
-            None | Some(b'\n') => {
-                *number += usize::from(byte.is_some() || found > 0);
-                if found != 0 && found != columns.len() {
-                    let markers: Vec<String> = quantity.markers().map(|m| m.to_string()).collect();
-                    let markers = markers.join(", ");
-                    let why = format!("{found} numbers, and the markers are {markers}");
-                    return Err(bad(*number, why));
-                }
-                if byte.is_none() {
-                    return Ok(());
-                }
-                found = 0;
-                at += 1;
+        if length + PADDING == text.len() {
+            text.resize(2 * text.len(), 0);
+        }
+        let space = length..text.len() - PADDING;
+        let read = match stdin.read(&mut text[space]) {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+            read => read?,
+        };
+        let before = length;
+        length += read;
+        if read == 0 {
+            if length == 0 {
+                return stdout.flush();
             }
-            Some(_) => {
-                let (value, len) = number_of(&text[at..]);
-                let Some(value) = value else {
-                    let part = String::from_utf8_lossy(&text[at..at + len]).into_owned();
-                    return Err(bad(*number + 1, format!("\"{part}\" is no finite number")));
-                };
-                if let Some(column) = columns.get_mut(found) {
-                    column.push(value);
-                }
-                found += 1;
-                at += len;
-            }
+            // The last line may lack its line break.
+            text[length] = b'\n';
+            length += 1;
+        }
+        // What follows the last line break is the start of the next line.
+        let Some(last) = text[before..length].iter().rposition(|byte| *byte == b'\n') else {
+            continue;
+        };
+        let end = before + last + 1;
+        text.resize(text.len().max(end + PADDING), 0);
+        columns.read_lines(&text, end, &mut number, &markers)?;
+        text.copy_within(end..length, 0);
+        length -= end;
+        evaluate(quantity, &columns, &mut values);
+        points::write_lines(&values, &mut out);
+        stdout.write_all(&out)?;
+        if read == 0 {
+            return stdout.flush();
         }
     }
-}
-
-/// Powers of ten that are doubles exactly.
-const TENS: [f64; 23] = [
-    1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16,
-    1e17, 1e18, 1e19, 1e20, 1e21, 1e22,
-];
-
-/// The double nearest to the decimal number that `text` begins with, none if that is no finite number,
-/// and how long it is.
-fn number_of(text: &[u8]) -> (Option<f64>, usize) {
-    let ends = |byte: &u8| matches!(byte, b' ' | b',' | b'\t' | b'\r' | b'\n');
-    // Up to 15 digits, and a power of ten that is exact: one division rounds once.
-    let (mut digits, mut count, mut behind, mut len) = (0u64, 0, 0, 0);
-    let mut point = false;
-    while let Some(byte) = text.get(len) {
-        match byte {
-            b'0'..=b'9' if count < 15 => {
-                digits = 10 * digits + u64::from(byte - b'0');
-                count += 1;
-                behind += usize::from(point);
-            }
-            b'.' if !point => point = true,
-            _ => break,
-        }
-        len += 1;
-    }
-    if count > 0 && text.get(len).is_none_or(ends) {
-        return (Some(digits as f64 / TENS[behind]), len);
-    }
-    let len = text.iter().position(ends).unwrap_or(text.len());
-    let number = std::str::from_utf8(&text[..len]).ok().and_then(|text| text.parse::<f64>().ok());
-    (number.filter(|number| number.is_finite()), len)
 }
 
 fn comparison(args: &cli::Compare) -> Result<(), Failure> {
@@ -366,24 +296,5 @@ fn check(names: &[String], quiet: bool, json: bool) -> Result<(), Failure> {
         0 => Ok(()),
         1 => Err(Failure::failed("1 fault")),
         faults => Err(Failure::failed(format!("{faults} faults"))),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn numbers_are_read_to_the_last_bit() {
-        for text in ["0.15", "16.448", "1", ".5", "3.", "0.000123456789012", "123456789012345"] {
-            assert_eq!(number_of(text.as_bytes()), (text.parse().ok(), text.len()), "{text}");
-        }
-        for text in ["-0.25", "1e-3", "2.5E+2", "0.1234567890123456789", "00000000000000000.5"] {
-            assert_eq!(number_of(text.as_bytes()), (text.parse().ok(), text.len()), "{text}");
-        }
-        assert_eq!(number_of(b"0.25,1"), (Some(0.25), 4));
-        for text in ["", ".", "1.2.3", "nan", "inf", "abc", "1e999", "--1"] {
-            assert_eq!(number_of(text.as_bytes()), (None, text.len()), "{text}");
-        }
     }
 }

@@ -1,0 +1,433 @@
+//! Points as text: a line each, of a number for every marker.
+//!
+//! Most of the time of a quick closure is here, so that a line of plain decimal numbers goes eight bytes
+//! at a time: where a byte is no digit is found first, which leaves no number waiting for the end of the
+//! one before. Every other line is read number by number.
+
+use std::io;
+
+/// Bytes that must follow the lines, of any value: numbers are read eight bytes at a time, and what is no
+/// digit is looked for in 64.
+pub const PADDING: usize = 64;
+
+/// Columns of points, all in one piece.
+pub struct Columns {
+    numbers: Vec<f64>,
+    count: usize,
+    rows: usize,
+}
+
+impl Columns {
+    /// No points yet of `count` columns.
+    pub fn new(count: usize) -> Self {
+        Self { numbers: Vec::new(), count, rows: 0 }
+    }
+
+    /// No points any more, and space for `rows`.
+    pub fn clear(&mut self, rows: usize) {
+        self.rows = 0;
+        let size = self.count * rows;
+        if self.numbers.len() < size {
+            self.numbers.resize(size, 0.0);
+        }
+    }
+
+    /// How many points there are.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// The columns.
+    pub fn parts(&self) -> Vec<&[f64]> {
+        self.numbers
+            .chunks_exact(self.stride())
+            .take(self.count)
+            .map(|column| &column[..self.rows])
+            .collect()
+    }
+
+    /// Points of little-endian doubles, a point after the other.
+    pub fn read_doubles(&mut self, bytes: &[u8]) {
+        let size = 8 * self.count;
+        self.clear(bytes.len() / size);
+        self.rows = bytes.len() / size;
+        let stride = self.stride();
+        for (k, column) in self.numbers.chunks_exact_mut(stride.max(1)).take(self.count).enumerate()
+        {
+            for (number, point) in column.iter_mut().zip(bytes.chunks_exact(size)) {
+                let double = *point[8 * k..].first_chunk().expect("eight bytes");
+                *number = f64::from_le_bytes(double);
+            }
+        }
+    }
+
+    fn stride(&self) -> usize {
+        self.numbers.len() / self.count
+    }
+
+    /// Reads the points of `text`, whole lines up to `end` and [`PADDING`] after them; a blank line has
+    /// none. `number` counts the lines, `markers` are what a line has numbers of.
+    ///
+    /// # Errors
+    /// Line and what is wrong in it.
+    pub fn read_lines(
+        &mut self,
+        text: &[u8],
+        end: usize,
+        number: &mut usize,
+        markers: &[String],
+    ) -> io::Result<()> {
+        // A number and what ends it are two bytes at least.
+        self.clear(end / (2 * self.count) + 1);
+        let stride = self.stride();
+        let mut marks = Marks::new(text, 0);
+        let mut at = 0;
+        while at < end {
+            let numbers = &mut self.numbers[self.rows..];
+            if let Some(next) = quick_line(text, at, &mut marks, numbers, stride) {
+                at = next;
+                self.rows += 1;
+                *number += 1;
+                continue;
+            }
+            let length = text[at..end].iter().position(|byte| *byte == b'\n');
+            let line = &text[at..at + length.unwrap_or(end - at)];
+            *number += 1;
+            let wrong = |why: String| {
+                let message = format!("standard input, line {number}: {why}");
+                io::Error::new(io::ErrorKind::InvalidData, message)
+            };
+            let mut numbers = numbers.iter_mut().step_by(stride);
+            let mut found = 0;
+            for part in line.split(|byte| BLANKS.contains(byte)).filter(|part| !part.is_empty()) {
+                let value = number_of(part).ok_or_else(|| {
+                    wrong(format!("\"{}\" is no finite number", String::from_utf8_lossy(part)))
+                })?;
+                if let Some(number) = numbers.next() {
+                    *number = value;
+                }
+                found += 1;
+            }
+            if found != 0 && found != self.count {
+                let markers = markers.join(", ");
+                return Err(wrong(format!("{found} numbers, and the markers are {markers}")));
+            }
+            self.rows += usize::from(found != 0);
+            at += line.len() + 1;
+            marks = Marks::new(text, at);
+        }
+        Ok(())
+    }
+}
+
+/// What stands between numbers.
+const BLANKS: [u8; 4] = *b" ,\t\r";
+
+/// The double nearest to a decimal number, none if that is no finite number.
+fn number_of(text: &[u8]) -> Option<f64> {
+    let number = std::str::from_utf8(text).ok()?.parse::<f64>().ok()?;
+    Some(number).filter(|number| number.is_finite())
+}
+
+/// Eight bytes, where the digits are 0 to 9 and nothing else is.
+fn word(text: &[u8], at: usize) -> u64 {
+    u64::from_le_bytes(*text[at..].first_chunk().expect("padding")) ^ u64::from_ne_bytes([b'0'; 8])
+}
+
+/// A bit for each byte of a [`word`] that is no digit.
+fn no_digits(word: u64) -> u64 {
+    const HIGH: u64 = u64::from_ne_bytes([0x80; 8]);
+    let high = (((word & !HIGH) + u64::from_ne_bytes([0x76; 8])) | word) & HIGH;
+    // Bit 8 i + 7 to bit 56 + i.
+    (high >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56
+}
+
+/// The number that the first digits of a [`word`] are, eight at most.
+fn digits_of(word: u64, digits: usize) -> u64 {
+    // Zeros before them.
+    let word = if digits == 0 { 0 } else { word << (64 - 8 * digits) };
+    // Pairs of digits, then all of them.
+    let pairs = 10 * word + (word >> 8);
+    let low = (pairs & 0x0000_00ff_0000_00ff).wrapping_mul(0x000f_4240_0000_0064);
+    let high = ((pairs >> 16) & 0x0000_00ff_0000_00ff).wrapping_mul(0x0000_2710_0000_0001);
+    low.wrapping_add(high) >> 32
+}
+
+/// Where bytes are no digits, in order.
+struct Marks<'a> {
+    text: &'a [u8],
+    at: usize,
+    /// Those of the 64 bytes from `at` that have not been given.
+    left: u64,
+}
+
+impl<'a> Marks<'a> {
+    /// Those from byte `at` on.
+    fn new(text: &'a [u8], at: usize) -> Self {
+        let mut marks = Self { text, at, left: 0 };
+        if at + 64 <= text.len() {
+            marks.look();
+        }
+        marks
+    }
+
+    fn look(&mut self) {
+        let bytes: &[u8; 64] = self.text[self.at..].first_chunk().expect("padding");
+        self.left = (0..8).map(|k| no_digits(word(bytes, 8 * k)) << (8 * k)).sum();
+    }
+
+    /// The next; there must be a line break, or the text ends.
+    #[inline(always)]
+    fn next(&mut self) -> usize {
+        while self.left == 0 {
+            self.at += 64;
+            self.look();
+        }
+        let mark = self.at + self.left.trailing_zeros() as usize;
+        self.left &= self.left - 1;
+        mark
+    }
+}
+
+/// Powers of ten that are doubles exactly.
+const TENS: [f64; 23] = [
+    1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16,
+    1e17, 1e18, 1e19, 1e20, 1e21, 1e22,
+];
+
+/// Reads a line of as many numbers as there are columns, to the first of each column of `stride` numbers,
+/// and gives where the next line starts: digits with or without a point and a sign before them, up to
+/// 2⁵³, so that dividing by a power of ten rounds once. None if something else is there.
+#[inline(always)]
+fn quick_line(
+    text: &[u8],
+    mut at: usize,
+    marks: &mut Marks,
+    numbers: &mut [f64],
+    stride: usize,
+) -> Option<usize> {
+    let mut column = 0;
+    loop {
+        let mut mark = marks.next();
+        let mut sign = 1.0;
+        while mark == at && text[mark] == b' ' {
+            at += 1;
+            mark = marks.next();
+        }
+        if mark == at && text[mark] == b'-' {
+            sign = -1.0;
+            at += 1;
+            mark = marks.next();
+        }
+        let whole = mark - at;
+        let (mut behind, mut more) = (0, 0);
+        if text[mark] == b'.' {
+            let end = marks.next();
+            behind = end - mark - 1;
+            if behind > 8 {
+                (behind, more) = (8, behind - 8);
+            }
+        }
+        if whole + behind == 0 || whole > 8 || whole + behind + more > 16 {
+            return None;
+        }
+        let mut value = digits_of(word(text, at), whole);
+        if text[mark] == b'.' {
+            value = value * TENS_WHOLE[behind] + digits_of(word(text, mark + 1), behind);
+            mark += 1 + behind;
+        }
+        if more > 0 {
+            value = value * TENS_WHOLE[more] + digits_of(word(text, mark), more);
+            mark += more;
+            behind += more;
+            if value > 1 << 53 {
+                return None;
+            }
+        }
+        numbers[column] = sign * (value as i64 as f64 / TENS[behind]);
+        column += stride;
+        at = mark + 1;
+        match text[mark] {
+            b'\n' => return (column >= numbers.len()).then_some(at),
+            b' ' | b',' | b'\t' if column < numbers.len() => {}
+            b'\r' if column >= numbers.len() && text[at] == b'\n' => {
+                marks.next();
+                return Some(at + 1);
+            }
+            _ => return None,
+        }
+    }
+}
+
+/// Powers of ten up to 10⁸.
+const TENS_WHOLE: [u64; 9] =
+    [1, 10, 100, 1_000, 10_000, 100_000, 1_000_000, 10_000_000, 100_000_000];
+
+/// Writes `values` to `out`, a line each, with as many digits as give the same double back.
+pub fn write_lines(values: &[f64], out: &mut Vec<u8>) {
+    /// More than a line has bytes.
+    const LONGEST: usize = 32;
+    out.resize(LONGEST * values.len(), 0);
+    let mut shortest = zmij::Buffer::new();
+    let mut at = 0;
+    for value in values {
+        let text = shortest.format(*value).as_bytes();
+        let (line, length) = (&mut out[at..at + LONGEST], text.len());
+        // Sizes that are known are moved without a call; the two overlap.
+        match length {
+            16.. => {
+                line[..16].copy_from_slice(&text[..16]);
+                line[length - 16..length].copy_from_slice(&text[length - 16..]);
+            }
+            8.. => {
+                line[..8].copy_from_slice(&text[..8]);
+                line[length - 8..length].copy_from_slice(&text[length - 8..]);
+            }
+            _ => line[..length].copy_from_slice(text),
+        }
+        line[length] = b'\n';
+        at += length + 1;
+    }
+    out.truncate(at);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The points of `text` in two columns and how many lines it has, or what is wrong.
+    fn read(text: &str) -> Result<(Vec<Vec<f64>>, usize), String> {
+        let mut columns = Columns::new(2);
+        let mut number = 0;
+        let padded = [text.as_bytes(), &[b'7'; PADDING]].concat();
+        let markers = ["a".to_owned(), "b".to_owned()];
+        let read = columns.read_lines(&padded, text.len(), &mut number, &markers);
+        read.map_err(|error| error.to_string())?;
+        Ok((columns.parts().iter().map(|part| part.to_vec()).collect(), number))
+    }
+
+    #[test]
+    fn numbers_are_read_to_the_last_bit() {
+        let numbers = [
+            "0.15",
+            "16.448",
+            "1",
+            ".5",
+            "3.",
+            "0.000123456789012",
+            "123456789012345",
+            "-0.25",
+            "-0",
+            "-.5",
+            "1e-3",
+            "2.5E+2",
+            "0.1234567890123456789",
+            "00000000000000000.5",
+            "+4",
+            "12345678",
+            "123456789",
+            "0.12345678",
+            "0.123456789",
+            "12345678.12345678",
+            "9007199254740993.0",
+            "0.9007199254740993",
+            "9.007199254740993",
+            "0.0000000000000001",
+            "5e-324",
+            "12345678.9",
+        ];
+        for (a, b) in numbers.iter().flat_map(|a| numbers.iter().map(move |b| (a, b))) {
+            for (before, between, after) in [
+                ("", " ", "\n"),
+                ("", ",", "\r\n"),
+                ("  ", ", ", " \n"),
+                (",", "\t ", "\n\n"),
+                ("\n", ",,", "\t\n"),
+            ] {
+                let text = format!("0.5 1.5\n{before}{a}{between}{b}{after}2.5,3.5\n");
+                let (found, lines) = read(&text).unwrap();
+                assert_eq!(lines, text.lines().count(), "{text:?}");
+                let expected = [[0.5, a.parse().unwrap(), 2.5], [1.5, b.parse().unwrap(), 3.5]];
+                for (found, expected) in found.iter().flatten().zip(expected.as_flattened()) {
+                    assert_eq!(found.to_bits(), f64::to_bits(*expected), "{text:?}");
+                }
+            }
+        }
+        assert_eq!(read("").unwrap().1, 0);
+        assert_eq!(read("\n \n").unwrap(), (vec![vec![], vec![]], 2));
+    }
+
+    #[test]
+    fn many_lines_of_every_length_are_read() {
+        for places in 0..20 {
+            let number = |i: usize, scale: f64| {
+                format!("{:.places$}", (0.5 + 0.618_033_988_7 * i as f64).fract() * scale)
+            };
+            let lines = (0..2000).map(|i| (number(i, 0.65), number(i, 123.0)));
+            let text: String = lines.clone().map(|(a, b)| format!("{a} {b}\n")).collect();
+            let (found, _) = read(&text).unwrap();
+            for (i, (a, b)) in lines.enumerate() {
+                assert_eq!([found[0][i], found[1][i]], [a.parse().unwrap(), b.parse().unwrap()]);
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_no_number_is_named_with_its_line() {
+        for part in [".", "1.2.3", "nan", "inf", "abc", "1e999", "--1", "- 1", "1-2", "-", "é"] {
+            let error = read(&format!("1 2\n\n3 {part}\n4 5\n")).unwrap_err();
+            let first = part.split(' ').next().unwrap();
+            assert!(error.contains(&format!("line 3: \"{first}\" is no finite number")), "{error}");
+        }
+        for (line, count) in [("1", 1), ("1 2 3", 3), ("1.5,2.5,3.5,", 3)] {
+            let error = read(&format!("1 2\n{line}\n4 5\n")).unwrap_err();
+            assert!(error.ends_with(&format!("line 2: {count} numbers, and the markers are a, b")));
+        }
+    }
+
+    #[test]
+    fn doubles_are_sorted_into_columns() {
+        let mut columns = Columns::new(3);
+        let doubles: Vec<u8> = (0..12u8).flat_map(|i| f64::from(i).to_le_bytes()).collect();
+        columns.read_doubles(&doubles);
+        assert_eq!(
+            columns.parts(),
+            [[0.0, 3.0, 6.0, 9.0], [1.0, 4.0, 7.0, 10.0], [2.0, 5.0, 8.0, 11.0]]
+        );
+        columns.read_doubles(&doubles[..24]);
+        assert_eq!(columns.parts(), [[0.0], [1.0], [2.0]]);
+    }
+
+    #[test]
+    fn lines_give_the_same_doubles_back() {
+        let values = [
+            0.0,
+            -0.0,
+            1.0,
+            0.1,
+            1.0 / 3.0,
+            -2.0 / 3.0,
+            1e-5,
+            1.5e300,
+            -5e-324,
+            123_456.0,
+            12.5,
+            f64::MIN,
+            f64::NAN,
+            f64::NEG_INFINITY,
+            1_234.567_8,
+            0.000_123_4,
+        ];
+        let mut out = vec![7; 3];
+        write_lines(&values, &mut out);
+        let lines: Vec<&str> = std::str::from_utf8(&out).unwrap().lines().collect();
+        assert_eq!(lines.len(), values.len());
+        for (line, value) in lines.iter().zip(values) {
+            let found: f64 = line.parse().unwrap();
+            assert!(
+                found.to_bits() == value.to_bits() || found.is_nan() && value.is_nan(),
+                "{line}"
+            );
+        }
+    }
+}
