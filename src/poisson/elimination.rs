@@ -37,8 +37,8 @@ const MANY: usize = 64;
 /// The factors of a matrix, and the memory to solve with them.
 #[derive(Debug)]
 pub(super) struct Elimination {
-    /// Of each cell, the first axis running fastest: the how manieth it was eliminated. What follows
-    /// is in that order.
+    /// Of each cell, the first axis running fastest: its place in the order of elimination, which
+    /// what follows is in.
     place: Vec<u32>,
     /// Where the links of each begin.
     begin: Vec<usize>,
@@ -200,7 +200,7 @@ impl Graph {
                     _ => cell - stride,
                 };
                 // Along an axis of one cell it is its own neighbour.
-                if below != cell && weight > 0.0 {
+                if below != cell {
                     for _ in 0..parts {
                         graph.join(below as u32, cell as u32, weight / parts as Fast);
                     }
@@ -211,7 +211,11 @@ impl Graph {
         graph
     }
 
+    /// Joins two vertices, unless the weight is too small for a number.
     fn join(&mut self, a: u32, b: u32, weight: Fast) {
+        if weight <= 0.0 {
+            return;
+        }
         for (from, to) in [(a, b), (b, a)] {
             let vertex = &mut self.vertices[from as usize];
             let end = End { to, next: vertex.first, weight };
