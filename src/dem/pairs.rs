@@ -52,6 +52,12 @@ impl Pair {
         if slot >= len { slot - len } else { slot }
     }
 
+    /// The same way from one to the other between other places: those that the two are gathered to.
+    #[inline(always)]
+    pub(super) fn moved(self, first: usize, slot: usize) -> Self {
+        Self { first: self.first >> PLACE << PLACE | first as u32, slot: slot as u32 }
+    }
+
     /// As one number, for a file.
     pub(super) fn bits(self) -> u64 {
         u64::from(self.first) << 32 | u64::from(self.slot)
@@ -63,7 +69,7 @@ impl Pair {
     }
 }
 
-/// A pair, and its place in its slab's list.
+/// A pair, and its place in its slab's list, or in a group its number.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Near {
     pub(super) pair: Pair,
@@ -75,7 +81,7 @@ pub(super) struct Near {
 pub(super) struct Touch {
     /// Tangential spring ξ of the first against the second \[m\].
     pub(super) spring: [f64; 3],
-    /// Place of the pair in its slab's list.
+    /// Place of the pair in its slab's list, or in a group its number.
     pub(super) pair: u32,
     /// Whether it had its last kick.
     pub(super) ended: bool,
@@ -90,12 +96,16 @@ struct Carried {
     ended: bool,
 }
 
-/// A layer of cells, and the pairs within it and up into the next.
+/// A layer of cells, and the pairs within it and up into the next. Also what a group of particles that are
+/// stepped apart has of them (`rounds.rs`): its near pairs and their contacts.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Slab {
     /// Place of its first particle.
     pub(super) begin: usize,
     pub(super) pairs: Vec<Pair>,
+    /// Number of its first pair: pairs are numbered in the order in which a step adds up their forces,
+    /// those of even slabs before those of odd ones.
+    pub(super) number: u32,
     /// Pairs that may touch before near pairs are listed next, ascending.
     pub(super) near: Vec<Near>,
     /// Pairs in touch, ascending.
@@ -315,6 +325,7 @@ impl Dem {
     /// are zero before and after.
     pub(super) fn rebuild(&mut self) {
         let parallel = self.setup.parallel;
+        self.part();
         self.sort();
         let Self { cells, positions, velocities, slabs, .. } = self;
         let layer = cells.number[0] * cells.number[1];
@@ -338,15 +349,27 @@ impl Dem {
             quads.resize(positions.len() + images, Quad::default());
         }
         self.touched.resize(positions.len() + images, false);
+        self.number_pairs();
         self.travelled[0] = 0.0;
         self.rebuilds += 1;
-        self.list_near();
+        self.find_near();
         self.put_contacts();
-        self.frame = self.mean_velocity();
+        self.group();
+        let mean = self.mean_velocity();
+        // What is known of speeds is known against the frame as it was.
+        let square: f64 = (0..3).map(|axis| (mean[axis] - self.frame[axis]).powi(2)).sum();
+        self.speed += square.sqrt();
+        self.frame = mean;
     }
 
     /// Lists the near pairs.
     pub(super) fn list_near(&mut self) {
+        self.part();
+        self.find_near();
+        self.group();
+    }
+
+    fn find_near(&mut self) {
         let Self { cells, positions, slabs, .. } = self;
         let (images, positions, near) = (cells.images(), &positions[..], cells.near);
         each_chunk(
