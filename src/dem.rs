@@ -74,9 +74,9 @@ pub struct Setup {
     pub contact: Contact,
     /// Steps in the shortest contact, π sqrt(m*/k_n) of the two lightest spheres; 50 is usual, 20 the least \[-\].
     pub steps_per_contact: f64,
-    /// How much farther than touching pairs are looked for, in diameters of the largest sphere: more
+    /// How much farther than touching pairs are looked for at least, in diameters of the largest sphere: more
     /// makes more pairs and fewer rebuilds, and does not change what is computed beyond the order
-    /// of sums \[-\].
+    /// of sums. In a dilute box it is more \[-\].
     pub skin: f64,
     /// Whether the threads of the current pool share a step.
     pub parallel: bool,
@@ -325,12 +325,12 @@ impl Dem {
         self.advance::<false>(steps)
     }
 
-    /// Makes a step and leaves its contacts to be seen, until the next.
+    /// Makes `steps` steps and leaves the contacts of the last to be seen, until the next.
     ///
     /// # Errors
     /// As [`Dem::run`].
-    pub fn run_seen(&mut self) -> Result<(), StepError> {
-        self.advance::<true>(1)
+    pub fn run_seen(&mut self, steps: u64) -> Result<(), StepError> {
+        self.advance::<true>(steps)
     }
 
     fn advance<const SEEN: bool>(&mut self, steps: u64) -> Result<(), StepError> {
@@ -348,7 +348,11 @@ impl Dem {
                 }
             } else {
                 if !opening {
-                    let deepest = self.contacts::<SEEN>();
+                    let deepest = if SEEN && left == 0 {
+                        self.contacts::<true>()
+                    } else {
+                        self.contacts::<false>()
+                    };
                     self.bear(deepest)?;
                 }
                 if left == 0 {

@@ -7,10 +7,17 @@
 
 use super::{Dem, Quad, Seen};
 use crate::rows::each_chunk;
+use std::f64::consts::PI;
 use std::ops::Range;
 
-/// Skin of the near pairs over that of the pairs \[-\].
-const NEAR: f64 = 0.06;
+/// Gap up to which near pairs are in a box of [`ROOMY`] or denser, in diameters of the largest sphere \[-\].
+const NEAR: f64 = 0.012;
+
+/// Solids fraction below which near pairs reach farther: they are few, and listed less often \[-\].
+const ROOMY: f64 = 0.2;
+
+/// Share of what cells are larger than a sphere, because spheres are few, that the skin takes at least \[-\].
+const TAKEN: f64 = 0.5;
 
 /// Bits of a particle's place in [`Pair::first`]; above them lies the image.
 const PLACE: u32 = 27;
@@ -175,21 +182,24 @@ pub(super) fn wrapped(point: [f64; 3], size: [f64; 3]) -> [f64; 3] {
 }
 
 impl Cells {
-    /// Cells for `count` spheres no larger than `largest`; `skin` is in largest diameters.
+    /// Cells for `count` spheres no larger than `largest`; `skin` is in largest diameters, and a least one.
     pub(super) fn new(size: [f64; 3], largest: f64, skin: f64, count: usize) -> Self {
         let narrow = size.into_iter().fold(f64::INFINITY, f64::min);
-        let skin = (skin * largest).min(0.5 * narrow - largest).max(0.0);
         // Where spheres are few, larger cells: an empty one costs as much as one with a sphere.
         let volume: f64 = size.iter().product();
         let roomy = (0.5 * volume / count.max(1) as f64).cbrt();
+        let skin = (skin * largest).max(TAKEN * (roomy - largest));
+        let skin = skin.min(0.5 * narrow - largest).max(0.0);
         let edge = (largest + skin).max(roomy);
+        let fraction = count as f64 * PI / 6.0 * largest.powi(3) / volume;
+        let near = (NEAR * largest * (ROOMY / fraction).sqrt().max(1.0)).min(skin);
         let mut number = size.map(|size| ((size / edge) as usize).max(1));
         // Every other slab is done at a time.
         if number[2] > 1 {
             number[2] -= number[2] % 2;
         }
         let starts = vec![0; number.iter().product::<usize>() + 1];
-        Self { size, number, skin, near: NEAR * skin, starts }
+        Self { size, number, skin, near, starts }
     }
 
     /// What is added to the second's centre for each image.

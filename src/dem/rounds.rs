@@ -272,12 +272,18 @@ impl Stretch<'_> {
         }
     }
 
-    fn contacts<const SEEN: bool>(&mut self, share: &mut Slab, common: Common) {
+    /// Contacts, left to be seen if they are the `last` of a run that asks for that.
+    fn contacts<const SEEN: bool>(&mut self, share: &mut Slab, common: Common, last: bool) {
         let bodies = [&*self.positions, &*self.velocities, &*self.spins];
         let scene = Scene::new(bodies, common.images, common.setup, common.dt);
         let (forces, torques, touched) =
             (&mut *self.forces, &mut *self.torques, &mut *self.touched);
-        among::<SEEN>(share, scene, Loads { forces, torques, touched });
+        let loads = Loads { forces, torques, touched };
+        if SEEN && last {
+            among::<true>(share, scene, loads);
+        } else {
+            among::<false>(share, scene, loads);
+        }
     }
 }
 
@@ -310,8 +316,9 @@ fn tour<const SEEN: bool>(
     let half = 0.5 * dt;
     stretch.gather(from, opening);
     (record.deepest[0], record.lost[0]) = (0.0, 0.0);
+    let last = |step: usize| step == drifts && end == End::Kick;
     if !opening {
-        stretch.contacts::<SEEN>(share, common);
+        stretch.contacts::<SEEN>(share, common, last(0));
         record.note(0, share);
     }
     for step in 1..=drifts {
@@ -324,7 +331,7 @@ fn tour<const SEEN: bool>(
         };
         (record.deepest[step], record.lost[step]) = (0.0, 0.0);
         if step < drifts || end != End::Drift {
-            stretch.contacts::<SEEN>(share, common);
+            stretch.contacts::<SEEN>(share, common, last(step));
             record.note(step, share);
         }
     }
