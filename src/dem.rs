@@ -16,7 +16,8 @@
 //! rebuild of the pairs (`pairs.rs`). The box is cut into an even number of slabs along the last axis,
 //! each at least as thick as pairs are long; a slab owns the pairs that reach within it and up into
 //! the next. Threads do every other slab, then the rest, so that no two of them add to one particle,
-//! and the order of all sums is that of the slabs, whatever the number of threads.
+//! and the order of all sums is that of the slabs, whatever the number of threads. Where particles are few, and for some steps
+//! meet none but a few neighbours, they make those steps without a look at the others (`rounds.rs`).
 //!
 //! Left out: cohesion, rolling resistance, walls. A sphere of infinite density is held: it stays at its
 //! velocity.
@@ -82,7 +83,7 @@ pub struct Setup {
     pub parallel: bool,
 }
 
-/// Skin that serves solids fractions from 0.05 to 0.6, in diameters of the largest sphere \[-\].
+/// Skin that serves solids fractions up to 0.6, in diameters of the largest sphere \[-\].
 pub const SKIN: f64 = 0.2;
 
 /// A set-up that cannot be simulated.
@@ -249,6 +250,7 @@ pub struct Dem {
     deepest: f64,
     fastest: f64,
     scratch: pairs::Scratch,
+    /// Particles that are stepped without a look at the others.
     groups: rounds::Groups,
     /// No particle is faster against the frame, but for what contacts have done since the last drift.
     speed: f64,

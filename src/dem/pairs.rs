@@ -2,8 +2,9 @@
 //! near ones, which a step looks at.
 //!
 //! Pairs are listed when the fastest particle may have gone half the skin since they last were; near
-//! pairs, out of the pairs, when it may have gone half of theirs. A contact is known by its pair, and
-//! is carried over when the pairs are listed anew.
+//! pairs, out of the pairs, when it may have gone half of theirs. A pair found far apart is not looked at
+//! until the fastest could have closed the gap. A contact is known by its pair, and is carried over when
+//! the pairs are listed anew.
 
 use super::{Dem, Quad, Seen};
 use crate::rows::each_chunk;
@@ -17,7 +18,10 @@ const NEAR: f64 = 0.012;
 const ROOMY: f64 = 0.2;
 
 /// Share of what cells are larger than a sphere, because spheres are few, that the skin takes at least \[-\].
-const TAKEN: f64 = 0.5;
+const TAKEN: f64 = 0.7;
+
+/// What [`Slab::due`] is less than it might be, for round-off \[-\].
+const ROUND_OFF: f64 = 1e-6;
 
 /// Bits of a particle's place in [`Pair::first`]; above them lies the image.
 const PLACE: u32 = 27;
@@ -110,6 +114,8 @@ pub(super) struct Slab {
     /// Place of its first particle.
     pub(super) begin: usize,
     pub(super) pairs: Vec<Pair>,
+    /// For each pair the way that the fastest particle has gone since pairs were listed when it may be near.
+    pub(super) due: Vec<f32>,
     /// Number of its first pair: pairs are numbered in the order in which a step adds up their forces,
     /// those of even slabs before those of odd ones.
     pub(super) number: u32,
@@ -135,6 +141,7 @@ impl Slab {
     /// Bytes.
     pub(super) fn memory(&self) -> usize {
         self.pairs.capacity() * size_of::<Pair>()
+            + self.due.capacity() * size_of::<f32>()
             + (self.near.capacity() + self.found.capacity()) * size_of::<Near>()
             + (self.contacts.capacity() + self.before.capacity()) * size_of::<Touch>()
             + self.seen.capacity() * size_of::<Seen>()
@@ -349,6 +356,7 @@ impl Dem {
                 let slab = &mut slab[0];
                 slab.begin = search.cells.starts[cz * layer] as usize;
                 search.pairs(cz, &mut slab.pairs);
+                slab.due.clear();
                 slab.contacts.clear();
             },
         );
@@ -382,19 +390,29 @@ impl Dem {
     fn find_near(&mut self) {
         let Self { cells, positions, slabs, .. } = self;
         let (images, positions, near) = (cells.images(), &positions[..], cells.near);
+        let gone = self.travelled[0];
         each_chunk(
             self.setup.parallel,
             slabs,
             1,
             || (),
             |(), _, slab| {
-                let slab = &mut slab[0];
-                slab.near.clear();
-                for (n, pair) in slab.pairs.iter().enumerate() {
+                let Slab { pairs, due, near: list, .. } = &mut slab[0];
+                list.clear();
+                due.resize(pairs.len(), 0.0);
+                for (n, (pair, due)) in pairs.iter().zip(due).enumerate() {
+                    if gone < f64::from(*due) {
+                        continue;
+                    }
                     let (d, touching) = between(*pair, positions, &images);
                     let reach = touching + near;
-                    if d[0] * d[0] + d[1] * d[1] + d[2] * d[2] < reach * reach {
-                        slab.near.push(Near { pair: *pair, place: n as u32 });
+                    let square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+                    if square < reach * reach {
+                        list.push(Near { pair: *pair, place: n as u32 });
+                    } else {
+                        // Neither comes closer than by the way of the fastest.
+                        let left = 0.5 * (square.sqrt() - reach).max(0.0);
+                        *due = ((gone + left) * (1.0 - ROUND_OFF)) as f32;
                     }
                 }
             },

@@ -522,7 +522,7 @@ fn nth(n: usize, len: usize) -> usize {
 /// Makes room for `len` items, with little to spare.
 fn fit<T: Clone + Default>(items: &mut Vec<T>, len: usize) {
     if len > items.capacity() {
-        items.reserve_exact(len + len / 4 - items.len());
+        items.reserve_exact(len + len / 16 - items.len());
     }
     items.resize(len, T::default());
 }

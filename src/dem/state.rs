@@ -185,6 +185,7 @@ impl Dem {
             // No more than any box has room for.
             let most = 1000 * len;
             slab.pairs.clear();
+            slab.due.clear();
             for _ in 0..take_len(from, most)? {
                 slab.pairs.push(Pair::of(take(from)?));
             }
