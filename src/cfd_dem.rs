@@ -365,8 +365,7 @@ impl CfdDem {
         for Quad([x, y, z, _]) in self.dem.drives_mut() {
             [*x, *y, *z] = [*x / dt, *y / dt, *z / dt];
         }
-        self.dem.run(steps - 1)?;
-        self.dem.run_seen()?;
+        self.dem.run_seen(steps)?;
         self.touches.clear();
         self.touches.extend(self.dem.seen());
         self.time = if last { until } else { self.time + dt };

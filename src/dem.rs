@@ -16,7 +16,8 @@
 //! rebuild of the pairs (`pairs.rs`). The box is cut into an even number of slabs along the last axis,
 //! each at least as thick as pairs are long; a slab owns the pairs that reach within it and up into
 //! the next. Threads do every other slab, then the rest, so that no two of them add to one particle,
-//! and the order of all sums is that of the slabs, whatever the number of threads.
+//! and the order of all sums is that of the slabs, whatever the number of threads. Where particles are few, and for some steps
+//! meet none but a few neighbours, they make those steps without a look at the others (`rounds.rs`).
 //!
 //! Left out: cohesion, rolling resistance, walls. A sphere of infinite density is held: it stays at its
 //! velocity.
@@ -24,6 +25,7 @@
 mod forces;
 mod motion;
 mod pairs;
+mod rounds;
 mod start;
 mod state;
 
@@ -73,15 +75,15 @@ pub struct Setup {
     pub contact: Contact,
     /// Steps in the shortest contact, π sqrt(m*/k_n) of the two lightest spheres; 50 is usual, 20 the least \[-\].
     pub steps_per_contact: f64,
-    /// How much farther than touching pairs are looked for, in diameters of the largest sphere: more
+    /// How much farther than touching pairs are looked for at least, in diameters of the largest sphere: more
     /// makes more pairs and fewer rebuilds, and does not change what is computed beyond the order
-    /// of sums \[-\].
+    /// of sums. In a dilute box it is more \[-\].
     pub skin: f64,
     /// Whether the threads of the current pool share a step.
     pub parallel: bool,
 }
 
-/// Skin that serves solids fractions from 0.05 to 0.6, in diameters of the largest sphere \[-\].
+/// Skin that serves solids fractions up to 0.6, in diameters of the largest sphere \[-\].
 pub const SKIN: f64 = 0.2;
 
 /// A set-up that cannot be simulated.
@@ -248,6 +250,12 @@ pub struct Dem {
     deepest: f64,
     fastest: f64,
     scratch: pairs::Scratch,
+    /// Particles that are stepped without a look at the others.
+    groups: rounds::Groups,
+    /// No particle is faster against the frame, but for what contacts have done since the last drift.
+    speed: f64,
+    /// The largest acceleration and the largest rate among the drives of the run.
+    pulls: [f64; 2],
 }
 
 impl Dem {
@@ -297,10 +305,16 @@ impl Dem {
             deepest: DEEPEST,
             fastest: FASTEST,
             scratch: pairs::Scratch::default(),
+            groups: rounds::Groups::default(),
+            speed: 0.0,
+            pulls: [0.0; 2],
             setup,
         };
         dem.rebuild();
+        dem.part();
         dem.contacts::<false>();
+        dem.group();
+        dem.speed = dem.fastest();
         Ok(dem)
     }
 
@@ -313,41 +327,117 @@ impl Dem {
         self.advance::<false>(steps)
     }
 
-    /// Makes a step and leaves its contacts to be seen, until the next.
+    /// Makes `steps` steps and leaves the contacts of the last to be seen, until the next.
     ///
     /// # Errors
     /// As [`Dem::run`].
-    pub fn run_seen(&mut self) -> Result<(), StepError> {
-        self.advance::<true>(1)
+    pub fn run_seen(&mut self, steps: u64) -> Result<(), StepError> {
+        self.advance::<true>(steps)
     }
 
     fn advance<const SEEN: bool>(&mut self, steps: u64) -> Result<(), StepError> {
-        self.damped = self.drives.iter().any(|drive| drive.0[3] != 0.0);
-        for step in 0..steps {
-            let kicks = if step == 0 { 1 } else { 2 };
-            let fastest = self.kick_and_drift(kicks);
-            self.steps += 1;
-            self.time += self.dt;
-            let way = fastest * self.dt;
-            if way.is_nan() || way > self.fastest * self.smallest {
-                return Err(self.too_fast());
-            }
-            self.travelled = self.travelled.map(|travelled| travelled + way);
-            if 2.0 * self.travelled[0] > self.cells.skin {
-                self.rebuild();
-            } else if 2.0 * self.travelled[1] > self.cells.near {
-                self.list_near();
-            }
-            let deepest = self.contacts::<SEEN>();
-            if deepest > self.deepest {
-                let (most, time) = (self.deepest, self.time);
-                return Err(StepError::Overlap { share: deepest, most, time });
-            }
+        if steps == 0 {
+            return Ok(());
         }
-        if steps > 0 {
-            self.kick();
+        self.look_at_drives();
+        let (mut opening, mut left) = (true, steps);
+        loop {
+            if self.groups.apart {
+                let (steps, ended) = self.round::<SEEN>(opening, left)?;
+                left -= steps;
+                if ended {
+                    break;
+                }
+            } else {
+                if !opening {
+                    let deepest = if SEEN && left == 0 {
+                        self.contacts::<true>()
+                    } else {
+                        self.contacts::<false>()
+                    };
+                    self.bear(deepest)?;
+                }
+                if left == 0 {
+                    self.kick();
+                    break;
+                }
+                let fastest = self.kick_and_drift(if opening { 1 } else { 2 });
+                self.drifted(fastest)?;
+                self.list_if_due();
+                left -= 1;
+            }
+            opening = false;
+        }
+        // The half kick that ends a run.
+        self.speed += 0.5 * self.gain();
+        Ok(())
+    }
+
+    /// Takes note of a drift whose fastest particle had this speed.
+    fn drifted(&mut self, fastest: f64) -> Result<(), StepError> {
+        self.steps += 1;
+        self.time += self.dt;
+        self.speed = fastest;
+        let way = fastest * self.dt;
+        if way.is_nan() || way > self.fastest * self.smallest {
+            return Err(self.too_fast());
+        }
+        self.travelled = self.travelled.map(|travelled| travelled + way);
+        Ok(())
+    }
+
+    /// Lists pairs or near pairs anew if a particle may have gone too far since they were listed.
+    fn list_if_due(&mut self) {
+        if 2.0 * self.travelled[0] > self.cells.skin {
+            self.rebuild();
+        } else if 2.0 * self.travelled[1] > self.cells.near {
+            self.list_near();
+        }
+    }
+
+    /// Fails if an overlap over the mean diameter is too deep.
+    fn bear(&self, deepest: f64) -> Result<(), StepError> {
+        if deepest > self.deepest {
+            let (most, time) = (self.deepest, self.time);
+            return Err(StepError::Overlap { share: deepest, most, time });
         }
         Ok(())
+    }
+
+    /// Finds out what drives may do in this run.
+    fn look_at_drives(&mut self) {
+        // Numbers above 0 are ordered as their bits are, and what is not a number is above all.
+        let mut most = [0u64; 4];
+        let (mut damped, mut negative) = (false, false);
+        for Quad(drive) in &self.drives {
+            for n in 0..4 {
+                most[n] = most[n].max(drive[n].to_bits() & (u64::MAX >> 1));
+            }
+            damped |= drive[3] != 0.0;
+            negative |= drive[3] < 0.0;
+        }
+        let [x, y, z, rate] = most.map(f64::from_bits);
+        // A rate below 0 drives on, and nothing is known of how far.
+        let rate = if negative { f64::INFINITY } else { rate };
+        self.damped = damped;
+        self.pulls = [(x * x + y * y + z * z).sqrt(), rate];
+    }
+
+    /// By how much drives may make a particle faster in a step, against the frame \[m/s\].
+    fn gain(&self) -> f64 {
+        let [pull, rate] = self.pulls;
+        let frame = self.frame.iter().map(|v| v * v).sum::<f64>().sqrt();
+        self.dt * (pull + rate * frame)
+    }
+
+    /// The largest speed against the frame, not a number if one is not \[m/s\].
+    fn fastest(&self) -> f64 {
+        let square = |Quad([x, y, z, _]): &Quad| -> u64 {
+            let [u, v, w] = self.frame;
+            let square = (x - u).powi(2) + (y - v).powi(2) + (z - w).powi(2);
+            square.to_bits() & (u64::MAX >> 1)
+        };
+        f64::from_bits(self.velocities.iter().map(square).fold(0, u64::max)).sqrt()
     }
 
     /// Number of spheres.
@@ -426,12 +516,12 @@ impl Dem {
 
     /// The contacts of the last step, if [`Dem::run_seen`] made it.
     pub fn seen(&self) -> impl Iterator<Item = &Seen> {
-        self.slabs.iter().flat_map(|slab| &slab.seen)
+        self.shares().flat_map(|share| &share.seen)
     }
 
     /// Pairs of spheres that touch.
     pub fn touching(&self) -> usize {
-        self.slabs.iter().map(|slab| slab.contacts.len()).sum()
+        self.shares().map(|share| share.contacts.len()).sum()
     }
 
     /// The spheres in the order of their numbers, centres in the box.
@@ -492,7 +582,7 @@ impl Dem {
         Energy {
             translation: sum(&self.velocities),
             rotation: sum(&self.spins),
-            springs: self.slabs.iter().map(|slab| slab.springs).sum(),
+            springs: self.shares().map(|share| share.springs).sum(),
             lost: self.lost,
         }
     }
@@ -514,6 +604,7 @@ impl Dem {
             + self.touched.capacity()
             + slabs
             + self.scratch.memory()
+            + self.groups.memory()
     }
 
     /// Which particle is fastest, or not a number.

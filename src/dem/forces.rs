@@ -1,7 +1,7 @@
 //! Forces of the contacts.
 
 use super::pairs::{IMAGES, Near, Slab, Touch, between};
-use super::{Dem, Quad, Seen};
+use super::{Dem, Quad, Seen, Setup};
 use crate::laws::contact::{Contact, TANGENTIAL_MOBILITY, damping};
 use crate::rows::{join, simd};
 
@@ -11,7 +11,7 @@ struct Watching<const SEEN: bool>;
 
 /// What contacts look at.
 #[derive(Clone, Copy)]
-struct Scene<'a> {
+pub(super) struct Scene<'a> {
     positions: &'a [Quad],
     velocities: &'a [Quad],
     spins: &'a [Quad],
@@ -20,11 +20,23 @@ struct Scene<'a> {
     dt: f64,
 }
 
+impl<'a> Scene<'a> {
+    /// Particles of a box of this `setup`, stepped by `dt`.
+    pub(super) fn new(
+        [positions, velocities, spins]: [&'a [Quad]; 3],
+        images: &'a [Quad; IMAGES],
+        setup: &Setup,
+        dt: f64,
+    ) -> Self {
+        Self { positions, velocities, spins, images, law: setup.contact, dt }
+    }
+}
+
 /// What contacts add to, of a stretch of the particles.
-struct Loads<'a> {
-    forces: &'a mut [Quad],
-    torques: &'a mut [Quad],
-    touched: &'a mut [bool],
+pub(super) struct Loads<'a> {
+    pub(super) forces: &'a mut [Quad],
+    pub(super) torques: &'a mut [Quad],
+    pub(super) touched: &'a mut [bool],
 }
 
 impl<'a> Loads<'a> {
@@ -44,6 +56,25 @@ impl<'a> Loads<'a> {
             touched: &mut self.touched[from..],
         }
     }
+
+    /// Gives the first `len`, which are particles, what the rest, their images, took on.
+    fn gather(self, len: usize) {
+        let (particles, images) = self.split_at(len);
+        for (n, touched) in images.touched.iter_mut().enumerate() {
+            if std::mem::take(touched) {
+                add(&mut particles.forces[n], std::mem::take(&mut images.forces[n]).vector());
+                add(&mut particles.torques[n], std::mem::take(&mut images.torques[n]).vector());
+                particles.touched[n] = true;
+            }
+        }
+    }
+}
+
+/// Forces of a group of particles that meets no other; beyond them, `loads` have their images.
+pub(super) fn among<const SEEN: bool>(group: &mut Slab, scene: Scene, mut loads: Loads) {
+    touching(group, scene.positions, scene.images);
+    contacts(group, scene, 0, loads.from(0), Watching::<SEEN>);
+    loads.gather(scene.positions.len());
 }
 
 /// Forces of every other of the `slabs`, the first among them. `loads` begin at place `base`, that of the first slab's first particle, and reach to the end of the slab above the last.
@@ -240,14 +271,8 @@ impl Dem {
     /// mean diameter.
     pub(super) fn contacts<const SEEN: bool>(&mut self) -> f64 {
         let images = self.cells.images();
-        let scene = Scene {
-            positions: &self.positions,
-            velocities: &self.velocities,
-            spins: &self.spins,
-            images: &images,
-            law: self.setup.contact,
-            dt: self.dt,
-        };
+        let bodies = [&self.positions[..], &self.velocities, &self.spins];
+        let scene = Scene::new(bodies, &images, &self.setup, self.dt);
         let parallel = self.setup.parallel;
         let mut loads = Loads {
             forces: &mut self.forces,
@@ -261,15 +286,7 @@ impl Dem {
             let begin = *begin;
             every_other::<SEEN>(parallel, scene, slabs, begin, loads.from(begin));
         }
-        // What images took on belongs to the particles.
-        let (particles, images) = loads.split_at(self.positions.len());
-        for (n, touched) in images.touched.iter_mut().enumerate() {
-            if std::mem::take(touched) {
-                add(&mut particles.forces[n], std::mem::take(&mut images.forces[n]).vector());
-                add(&mut particles.torques[n], std::mem::take(&mut images.torques[n]).vector());
-                particles.touched[n] = true;
-            }
-        }
+        loads.gather(self.positions.len());
         let mut deepest = 0.0f64;
         for slab in &self.slabs {
             self.lost += slab.lost;

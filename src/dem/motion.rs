@@ -4,23 +4,23 @@ use super::{Dem, Quad};
 use crate::rows::{join, simd};
 
 /// Particles that a thread moves at a time.
-const CHUNK: usize = 2048;
+pub(super) const CHUNK: usize = 2048;
 
 /// A stretch of the particles.
-struct Bodies<'a> {
-    positions: &'a mut [Quad],
-    velocities: &'a mut [Quad],
-    spins: &'a mut [Quad],
-    forces: &'a mut [Quad],
-    torques: &'a mut [Quad],
-    touched: &'a mut [bool],
+pub(super) struct Bodies<'a> {
+    pub(super) positions: &'a mut [Quad],
+    pub(super) velocities: &'a mut [Quad],
+    pub(super) spins: &'a mut [Quad],
+    pub(super) forces: &'a mut [Quad],
+    pub(super) torques: &'a mut [Quad],
+    pub(super) touched: &'a mut [bool],
     /// As long as the others, or empty.
-    drives: &'a [Quad],
+    pub(super) drives: &'a [Quad],
 }
 
 impl Bodies<'_> {
     /// Two parts, the first whole chunks.
-    fn halves(self) -> (Self, Self) {
+    pub(super) fn halves(self) -> (Self, Self) {
         let at = (self.positions.len() / 2).next_multiple_of(CHUNK);
         let (positions, positions2) = self.positions.split_at_mut(at);
         let (velocities, velocities2) = self.velocities.split_at_mut(at);
@@ -45,7 +45,7 @@ impl Bodies<'_> {
 
 /// Whether a drive has a rate: a kernel for each answer.
 #[derive(Clone, Copy)]
-struct Damped<const DAMPED: bool>;
+pub(super) struct Damped<const DAMPED: bool>;
 
 /// Kicks of the lengths `kicks` \[s\]: half a step after a drift, and half a step before the next. Both are
 /// done where one would do, so that steps made one by one give the bits of those made together.
@@ -90,7 +90,7 @@ simd! {
     /// Kicks and moves particles, takes their forces off, and returns the largest square of a speed against
     /// `frame`, as bits: those of what is not a number are larger than any other. Forces and torques
     /// are looked at only where something touched: most memory is left alone.
-    fn advance[const K: usize, const DAMPED: bool](
+    pub(super) fn advance[const K: usize, const DAMPED: bool](
         bodies: Bodies<'_>,
         kicks: [f64; K],
         dt: f64,
@@ -139,11 +139,11 @@ simd! {
 }
 
 /// The sign of a number's bits: what is not a number may have one.
-const SIGN: u64 = 1 << 63;
+pub(super) const SIGN: u64 = 1 << 63;
 
 simd! {
     /// Kicks particles by half a step.
-    fn finish[](bodies: Bodies<'_>, half: f64) {
+    pub(super) fn finish[](bodies: Bodies<'_>, half: f64) {
         let Bodies { velocities, spins, forces, torques, touched, drives, .. } = bodies;
         for i in 0..velocities.len() {
             let load = touched[i].then(|| (&forces[i], &torques[i]));
@@ -189,7 +189,7 @@ fn finish_all(parallel: bool, bodies: Bodies, dt: f64) {
 }
 
 impl Dem {
-    fn bodies(&mut self) -> Bodies<'_> {
+    pub(super) fn bodies(&mut self) -> Bodies<'_> {
         let len = self.positions.len();
         Bodies {
             positions: &mut self.positions,

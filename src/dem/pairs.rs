@@ -2,15 +2,26 @@
 //! near ones, which a step looks at.
 //!
 //! Pairs are listed when the fastest particle may have gone half the skin since they last were; near
-//! pairs, out of the pairs, when it may have gone half of theirs. A contact is known by its pair, and
-//! is carried over when the pairs are listed anew.
+//! pairs, out of the pairs, when it may have gone half of theirs. A pair found far apart is not looked at
+//! until the fastest could have closed the gap. A contact is known by its pair, and is carried over when
+//! the pairs are listed anew.
 
 use super::{Dem, Quad, Seen};
 use crate::rows::each_chunk;
+use std::f64::consts::PI;
 use std::ops::Range;
 
-/// Skin of the near pairs over that of the pairs \[-\].
-const NEAR: f64 = 0.06;
+/// Gap up to which near pairs are in a box of [`ROOMY`] or denser, in diameters of the largest sphere \[-\].
+const NEAR: f64 = 0.012;
+
+/// Solids fraction below which near pairs reach farther: they are few, and listed less often \[-\].
+const ROOMY: f64 = 0.2;
+
+/// Share of what cells are larger than a sphere, because spheres are few, that the skin takes at least \[-\].
+const TAKEN: f64 = 0.7;
+
+/// What [`Slab::due`] is less than it might be, for round-off \[-\].
+const ROUND_OFF: f64 = 1e-6;
 
 /// Bits of a particle's place in [`Pair::first`]; above them lies the image.
 const PLACE: u32 = 27;
@@ -52,6 +63,12 @@ impl Pair {
         if slot >= len { slot - len } else { slot }
     }
 
+    /// The same way from one to the other between other places: those that the two are gathered to.
+    #[inline(always)]
+    pub(super) fn moved(self, first: usize, slot: usize) -> Self {
+        Self { first: self.first >> PLACE << PLACE | first as u32, slot: slot as u32 }
+    }
+
     /// As one number, for a file.
     pub(super) fn bits(self) -> u64 {
         u64::from(self.first) << 32 | u64::from(self.slot)
@@ -63,7 +80,7 @@ impl Pair {
     }
 }
 
-/// A pair, and its place in its slab's list.
+/// A pair, and its place in its slab's list, or in a group its number.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Near {
     pub(super) pair: Pair,
@@ -75,7 +92,7 @@ pub(super) struct Near {
 pub(super) struct Touch {
     /// Tangential spring ξ of the first against the second \[m\].
     pub(super) spring: [f64; 3],
-    /// Place of the pair in its slab's list.
+    /// Place of the pair in its slab's list, or in a group its number.
     pub(super) pair: u32,
     /// Whether it had its last kick.
     pub(super) ended: bool,
@@ -90,12 +107,18 @@ struct Carried {
     ended: bool,
 }
 
-/// A layer of cells, and the pairs within it and up into the next.
+/// A layer of cells, and the pairs within it and up into the next. Also what a group of particles that are
+/// stepped apart has of them (`rounds.rs`): its near pairs and their contacts.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Slab {
     /// Place of its first particle.
     pub(super) begin: usize,
     pub(super) pairs: Vec<Pair>,
+    /// For each pair the way that the fastest particle has gone since pairs were listed when it may be near.
+    pub(super) due: Vec<f32>,
+    /// Number of its first pair: pairs are numbered in the order in which a step adds up their forces,
+    /// those of even slabs before those of odd ones.
+    pub(super) number: u32,
     /// Pairs that may touch before near pairs are listed next, ascending.
     pub(super) near: Vec<Near>,
     /// Pairs in touch, ascending.
@@ -118,6 +141,7 @@ impl Slab {
     /// Bytes.
     pub(super) fn memory(&self) -> usize {
         self.pairs.capacity() * size_of::<Pair>()
+            + self.due.capacity() * size_of::<f32>()
             + (self.near.capacity() + self.found.capacity()) * size_of::<Near>()
             + (self.contacts.capacity() + self.before.capacity()) * size_of::<Touch>()
             + self.seen.capacity() * size_of::<Seen>()
@@ -165,21 +189,24 @@ pub(super) fn wrapped(point: [f64; 3], size: [f64; 3]) -> [f64; 3] {
 }
 
 impl Cells {
-    /// Cells for `count` spheres no larger than `largest`; `skin` is in largest diameters.
+    /// Cells for `count` spheres no larger than `largest`; `skin` is in largest diameters, and a least one.
     pub(super) fn new(size: [f64; 3], largest: f64, skin: f64, count: usize) -> Self {
         let narrow = size.into_iter().fold(f64::INFINITY, f64::min);
-        let skin = (skin * largest).min(0.5 * narrow - largest).max(0.0);
         // Where spheres are few, larger cells: an empty one costs as much as one with a sphere.
         let volume: f64 = size.iter().product();
         let roomy = (0.5 * volume / count.max(1) as f64).cbrt();
+        let skin = (skin * largest).max(TAKEN * (roomy - largest));
+        let skin = skin.min(0.5 * narrow - largest).max(0.0);
         let edge = (largest + skin).max(roomy);
+        let fraction = count as f64 * PI / 6.0 * largest.powi(3) / volume;
+        let near = (NEAR * largest * (ROOMY / fraction).sqrt().max(1.0)).min(skin);
         let mut number = size.map(|size| ((size / edge) as usize).max(1));
         // Every other slab is done at a time.
         if number[2] > 1 {
             number[2] -= number[2] % 2;
         }
         let starts = vec![0; number.iter().product::<usize>() + 1];
-        Self { size, number, skin, near: NEAR * skin, starts }
+        Self { size, number, skin, near, starts }
     }
 
     /// What is added to the second's centre for each image.
@@ -315,6 +342,7 @@ impl Dem {
     /// are zero before and after.
     pub(super) fn rebuild(&mut self) {
         let parallel = self.setup.parallel;
+        self.part();
         self.sort();
         let Self { cells, positions, velocities, slabs, .. } = self;
         let layer = cells.number[0] * cells.number[1];
@@ -328,6 +356,7 @@ impl Dem {
                 let slab = &mut slab[0];
                 slab.begin = search.cells.starts[cz * layer] as usize;
                 search.pairs(cz, &mut slab.pairs);
+                slab.due.clear();
                 slab.contacts.clear();
             },
         );
@@ -338,30 +367,52 @@ impl Dem {
             quads.resize(positions.len() + images, Quad::default());
         }
         self.touched.resize(positions.len() + images, false);
+        self.number_pairs();
         self.travelled[0] = 0.0;
         self.rebuilds += 1;
-        self.list_near();
+        self.find_near();
         self.put_contacts();
-        self.frame = self.mean_velocity();
+        self.group();
+        let mean = self.mean_velocity();
+        // What is known of speeds is known against the frame as it was.
+        let square: f64 = (0..3).map(|axis| (mean[axis] - self.frame[axis]).powi(2)).sum();
+        self.speed += square.sqrt();
+        self.frame = mean;
     }
 
     /// Lists the near pairs.
     pub(super) fn list_near(&mut self) {
+        self.part();
+        self.find_near();
+        self.group();
+    }
+
+    fn find_near(&mut self) {
         let Self { cells, positions, slabs, .. } = self;
         let (images, positions, near) = (cells.images(), &positions[..], cells.near);
+        let gone = self.travelled[0];
         each_chunk(
             self.setup.parallel,
             slabs,
             1,
             || (),
             |(), _, slab| {
-                let slab = &mut slab[0];
-                slab.near.clear();
-                for (n, pair) in slab.pairs.iter().enumerate() {
+                let Slab { pairs, due, near: list, .. } = &mut slab[0];
+                list.clear();
+                due.resize(pairs.len(), 0.0);
+                for (n, (pair, due)) in pairs.iter().zip(due).enumerate() {
+                    if gone < f64::from(*due) {
+                        continue;
+                    }
                     let (d, touching) = between(*pair, positions, &images);
                     let reach = touching + near;
-                    if d[0] * d[0] + d[1] * d[1] + d[2] * d[2] < reach * reach {
-                        slab.near.push(Near { pair: *pair, place: n as u32 });
+                    let square = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+                    if square < reach * reach {
+                        list.push(Near { pair: *pair, place: n as u32 });
+                    } else {
+                        // Neither comes closer than by the way of the fastest.
+                        let left = 0.5 * (square.sqrt() - reach).max(0.0);
+                        *due = ((gone + left) * (1.0 - ROUND_OFF)) as f32;
                     }
                 }
             },

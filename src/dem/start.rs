@@ -138,7 +138,7 @@ pub fn packed(
     let rate = DRAG * PI / (setup.steps_per_contact * dem.time_step());
     dem.drives_mut().fill(Quad([0.0, 0.0, 0.0, rate]));
     loop {
-        let overlap = dem.slabs.iter().fold(0.0f64, |most, slab| most.max(slab.deepest));
+        let overlap = dem.shares().fold(0.0f64, |most, share| most.max(share.deepest));
         if overlap < 0.5 * MARGIN {
             break;
         }

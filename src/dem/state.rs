@@ -101,19 +101,23 @@ impl Dem {
         {
             put_quads(to, quads)?;
         }
-        for slab in &self.slabs {
+        let contacts = self.all_contacts();
+        for (slab, share) in self.slabs.iter().zip(self.shares()) {
             put(to, slab.begin as u64)?;
             put(to, slab.pairs.len() as u64)?;
             slab.pairs.iter().try_for_each(|pair| put(to, pair.bits()))?;
             put(to, slab.near.len() as u64)?;
             slab.near.iter().try_for_each(|near| put(to, near.place.into()))?;
-            put(to, slab.contacts.len() as u64)?;
-            for touch in &slab.contacts {
-                put(to, touch.pair.into())?;
+            let (first, pairs) = (slab.number, slab.pairs.len() as u32);
+            let begin = contacts.partition_point(|touch| touch.pair < first);
+            let len = contacts[begin..].partition_point(|touch| touch.pair - first < pairs);
+            put(to, len as u64)?;
+            for touch in &contacts[begin..][..len] {
+                put(to, (touch.pair - first).into())?;
                 put(to, touch.ended.into())?;
                 touch.spring.into_iter().try_for_each(|spring| put(to, spring.to_bits()))?;
             }
-            put(to, slab.springs.to_bits())?;
+            put(to, share.springs.to_bits())?;
         }
         Ok(())
     }
@@ -170,6 +174,7 @@ impl Dem {
         ] {
             take_quads(from, quads)?;
         }
+        self.part();
         let mut begin = 0;
         for slab in &mut self.slabs {
             slab.begin = take_len(from, len)?;
@@ -180,6 +185,7 @@ impl Dem {
             // No more than any box has room for.
             let most = 1000 * len;
             slab.pairs.clear();
+            slab.due.clear();
             for _ in 0..take_len(from, most)? {
                 slab.pairs.push(Pair::of(take(from)?));
             }
@@ -193,6 +199,9 @@ impl Dem {
             for _ in 0..take_len(from, slab.pairs.len())? {
                 let last = slab.contacts.last().map(|touch| touch.pair);
                 let pair = take_place(from, last, slab.pairs.len())?;
+                if slab.near.binary_search_by_key(&pair, |near| near.place).is_err() {
+                    return Err(StateError::Damaged("a pair touches and is not near"));
+                }
                 let ended = take(from)? == 1;
                 let spring = [take_f64(from)?, take_f64(from)?, take_f64(from)?];
                 slab.contacts.push(Touch { spring, pair, ended });
@@ -230,6 +239,9 @@ impl Dem {
                 self.touched[pair.second(len)] = true;
             }
         }
+        self.number_pairs();
+        self.group();
+        self.speed = self.fastest();
         Ok(())
     }
 }

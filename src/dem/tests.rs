@@ -110,40 +110,129 @@ fn contacts_are_all_pairs_that_overlap() {
 
 #[test]
 fn the_bits_are_the_same_on_any_number_of_threads_and_in_any_portions() {
-    let run = |parallel: bool, portions: &[u64]| {
-        let mut dem = powder(3000, 0.5, 1.5, parallel);
+    let run = |fraction: f64, least: usize, parallel: bool, portions: &[u64]| {
+        let mut dem = powder(3000, fraction, 1.5, parallel);
+        dem.drives_mut().fill(Quad([1.0, 0.0, -9.81, 0.0]));
         portions.iter().for_each(|&steps| dem.run(steps).unwrap());
-        assert!(dem.rebuilds() > 2 && dem.touching() > 10);
+        assert!(dem.rebuilds() > 2 && dem.touching() > least);
+        assert_eq!(dem.groups.apart, fraction < 0.4);
         bytes(&dem)
     };
-    let serial = run(false, &[900]);
-    assert!(serial == run(false, &[1, 17, 582, 300]), "in portions");
-    for threads in [1, 2, 3, 5] {
-        let parallel = on_threads(threads, || run(true, &[900])).unwrap();
-        assert!(serial == parallel, "{threads} threads");
+    for (fraction, least) in [(0.5, 10), (0.15, 3)] {
+        let run = |parallel: bool, portions: &[u64]| run(fraction, least, parallel, portions);
+        let serial = run(false, &[900]);
+        assert!(serial == run(false, &[1, 17, 582, 300]), "in portions");
+        for threads in [1, 2, 3, 5] {
+            let parallel = on_threads(threads, || run(true, &[900])).unwrap();
+            assert!(serial == parallel, "{threads} threads");
+        }
+    }
+}
+
+/// What there is of each particle, by its number.
+fn bodies(dem: &Dem) -> Vec<[Quad; 4]> {
+    let mut bodies = vec![[Quad::default(); 4]; dem.len()];
+    for (place, &id) in dem.ids().iter().enumerate() {
+        let (x, v) = (dem.positions[place], dem.velocities[place]);
+        bodies[id as usize] = [x, v, dem.spins[place], dem.forces[place]];
+    }
+    bodies
+}
+
+/// Makes `steps` steps one by one, as where clusters join throughout the box.
+fn one_by_one(dem: &mut Dem, steps: u64) -> Result<(), StepError> {
+    for _ in 0..steps {
+        dem.part();
+        dem.run(1)?;
+    }
+    Ok(())
+}
+
+#[test]
+fn rounds_leave_the_bits_of_steps_made_one_by_one() {
+    let pulls = [[0.0, 0.0, -9.81, 0.0], [3.0, 0.0, -9.81, 45.0]];
+    for (fraction, ratio, pull) in
+        [(0.05, 1.0, None), (0.2, 1.5, Some(pulls[0])), (0.1, 3.0, Some(pulls[1]))]
+    {
+        let mut dem = powder(3000, fraction, ratio, false);
+        if let Some(pull) = pull {
+            dem.drives_mut().fill(Quad(pull));
+        }
+        let mut other = dem.clone();
+        let mut most = 0;
+        for _ in 0..20 {
+            dem.run(40).unwrap();
+            assert!(dem.groups.apart);
+            one_by_one(&mut other, 40).unwrap();
+            assert!(bodies(&dem) == bodies(&other), "{fraction}");
+            assert_eq!((dem.rebuilds(), dem.touching()), (other.rebuilds(), other.touching()));
+            most = most.max(dem.touching());
+        }
+        assert!(most > 3, "{most}");
+        let (energy, same) = (dem.energy(), other.energy());
+        assert!((energy.lost / same.lost - 1.0).abs() < 1e-12 && energy.lost > 0.0);
+        assert!((energy.springs - same.springs).abs() < 1e-12 * energy.kept());
+    }
+}
+
+#[test]
+fn a_round_ends_where_a_step_would() {
+    let size = [24.0 * DIAMETER; 3];
+    let still = lattice(size, [8; 3], DIAMETER, DENSITY).unwrap();
+    let dem = |speed: f64, density: f64| {
+        let mut spheres = still.clone();
+        let [x, y, z] = spheres[100].position;
+        let position = [x, y, z + 1.5 * DIAMETER];
+        let velocity = [0.0, 0.0, -speed];
+        spheres.push(Sphere { velocity, density, ..sphere(position, [0.0; 3]) });
+        Dem::new(setup(size, 0.9, 0.1, false), &spheres).unwrap()
+    };
+    // The light one is made faster than anything was.
+    let mut hit = dem(0.5, 100.0 * DENSITY);
+    let mut other = hit.clone();
+    hit.run(900).unwrap();
+    assert!(hit.groups.apart && hit.touching() == 0);
+    one_by_one(&mut other, 900).unwrap();
+    assert!(hit.spheres()[100].velocity[2] < -0.9 && bodies(&hit) == bodies(&other));
+    assert_eq!(hit.travelled, other.travelled);
+    // One that goes too deep, and one too fast.
+    for speed in [15.0, 300.0] {
+        let mut fails = dem(speed, DENSITY);
+        let mut other = fails.clone();
+        assert!(fails.groups.apart);
+        let error = fails.run(900).unwrap_err();
+        assert_eq!(error, one_by_one(&mut other, 900).unwrap_err());
+        assert_eq!(matches!(error, StepError::Fast { .. }), speed > 100.0, "{error}");
+        assert!(bodies(&fails) == bodies(&other));
     }
 }
 
 #[test]
 fn a_state_goes_on_to_the_same_bits() {
-    let mut dem = powder(800, 0.5, 2.0, false);
-    dem.drives_mut().fill(Quad([0.0, 0.0, -9.81, 40.0]));
-    dem.run(333).unwrap();
-    let state = bytes(&dem);
-    dem.run(500).unwrap();
-    let mut other = powder(800, 0.5, 2.0, false);
-    other.restore_state(&mut &state[..]).unwrap();
-    assert!(bytes(&other) == state);
-    other.run(500).unwrap();
-    assert!(bytes(&other) == bytes(&dem));
+    for fraction in [0.1, 0.5] {
+        let mut dem = powder(800, fraction, 2.0, false);
+        dem.drives_mut().fill(Quad([0.0, 0.0, -9.81, 40.0]));
+        dem.run(333).unwrap();
+        let state = bytes(&dem);
+        dem.run(500).unwrap();
+        let mut other = powder(800, fraction, 2.0, false);
+        other.restore_state(&mut &state[..]).unwrap();
+        assert!(bytes(&other) == state);
+        other.run(500).unwrap();
+        assert!(bytes(&other) == bytes(&dem));
+        refuses(other, &state);
+    }
+}
 
-    // Cut short, of other spheres, damaged: refused, and nothing is changed.
+/// Whether a simulator of 800 spheres refuses a state that is cut short, of other spheres, or damaged, and is as
+/// it was then.
+fn refuses(mut other: Dem, state: &[u8]) {
     let before = bytes(&other);
     assert!(matches!(other.restore_state(&mut &state[..999]), Err(StateError::Read(_))));
     let fewer = powder(799, 0.5, 2.0, false);
     let error = other.restore_state(&mut &bytes(&fewer)[..]).unwrap_err().to_string();
     assert!(error.contains("spheres: 799, the simulator of 800"), "{error}");
-    let mut damaged = state.clone();
+    let mut damaged = state.to_vec();
     damaged[15 * 8 + 3] = 1;
     assert!(matches!(other.restore_state(&mut &damaged[..]), Err(StateError::Damaged(_))));
     assert!(bytes(&other) == before);
