@@ -18,7 +18,7 @@
 //! the next. Threads do every other slab, then the rest, so that no two of them add to one particle,
 //! and the order of all sums is that of the slabs, whatever the number of threads.
 //!
-//! Left out: cohesion, rolling resistance, walls. A sphere of infinite density is held: it stays at its
+//! Left out: rolling resistance, walls. A sphere of infinite density is held: it stays at its
 //! velocity.
 
 mod forces;
@@ -27,6 +27,7 @@ mod pairs;
 mod start;
 mod state;
 
+pub(crate) use start::normals;
 pub use start::{StartError, lattice, packed, thermal};
 pub use state::StateError;
 pub(crate) use state::{take, take_f64};
@@ -184,7 +185,7 @@ pub struct Energy {
     pub translation: f64,
     /// Σ I ω²/2.
     pub rotation: f64,
-    /// Σ k_n δ²/2 + k_t ξ²/2 of the contacts.
+    /// Σ k_n δ²/2 + k_t ξ²/2 - F_c δ of the contacts.
     pub springs: f64,
     /// What dashpots, sliders and parting springs have taken since the start.
     pub lost: f64,
@@ -206,6 +207,17 @@ pub struct Seen {
     pub arm: [f64; 3],
     /// Force on the first \[N\]; on the second acts its opposite.
     pub force: [f64; 3],
+}
+
+impl Seen {
+    /// The centres of both spheres \[m\], each with half the distance between them \[m\].
+    pub fn centres(&self) -> [Quad; 2] {
+        let Quad([x, y, z, half]) = self.place;
+        [0.5, -0.5].map(|part| {
+            let [dx, dy, dz] = self.arm.map(|arm| part * arm);
+            Quad([x + dx, y + dy, z + dz, half])
+        })
+    }
 }
 
 /// Spheres in a periodic box.
@@ -429,6 +441,11 @@ impl Dem {
         self.slabs.iter().flat_map(|slab| &slab.seen)
     }
 
+    /// Deepest overlap of two spheres over their mean diameter \[-\].
+    pub fn deepest_overlap(&self) -> f64 {
+        self.slabs.iter().fold(0.0, |most, slab| most.max(slab.deepest))
+    }
+
     /// Pairs of spheres that touch.
     pub fn touching(&self) -> usize {
         self.slabs.iter().map(|slab| slab.contacts.len()).sum()
@@ -541,8 +558,14 @@ impl Dem {
 
 /// Whether a set-up can be simulated.
 fn check(setup: &Setup, spheres: &[Sphere]) -> Result<(), SetupError> {
-    let Contact { stiffness, restitution, tangential_stiffness, tangential_damping, friction } =
-        setup.contact;
+    let Contact {
+        stiffness,
+        restitution,
+        tangential_stiffness,
+        tangential_damping,
+        friction,
+        cohesion,
+    } = setup.contact;
     let positive = |x: f64| x > 0.0 && x.is_finite();
     let rules = [
         ("size of the box along axis 0", setup.size[0], positive(setup.size[0]), "positive"),
@@ -563,6 +586,7 @@ fn check(setup: &Setup, spheres: &[Sphere]) -> Result<(), SetupError> {
             "from 0 to 10 times the normal one",
         ),
         ("friction", friction, friction >= 0.0 && friction.is_finite(), "0 or more"),
+        ("cohesion", cohesion, cohesion >= 0.0 && cohesion.is_finite(), "0 or more"),
         (
             "steps per contact",
             setup.steps_per_contact,
