@@ -54,6 +54,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         tangential_stiffness: 2.0 / 7.0,
         tangential_damping: 0.5,
         friction: 0.3,
+        cohesion: 0.0,
     };
     let parallel = args.threads > 1;
     let timed = || -> Result<(), Box<dyn Error + Send + Sync>> {

@@ -35,6 +35,10 @@
 //! | | `steps_per_contact` | time steps in a contact, at least | 20 to 1000 | 25 |
 //! | | `mapping` | how a particle is shared among cells | `"trilinear"`, `"divided"` | `"trilinear"` |
 //! | | `smoothing` | standard deviation of the Gaussian that it is spread to afterwards | 0 or a length up to a quarter of the box | 0 |
+//! | | `start` | where the particles start: at random places, on a cubic lattice, or as a table lists them (.csv, beside the case file; see [`resolved::start`](crate::resolved::start)) | `"random"`, `"lattice"`, a file's name | `"random"` |
+//! | | `diameters` | several diameters, each with its share of the solids' volume, or a log-normal distribution; their Sauter mean is the powder's `diameter` | `[{ diameter = "60 um", share = 0.3 }, ...]`, `{ geometric_deviation = 1.2 }` (1.001 to 1.5) | all equal |
+//! | | `mixture_drag` | how the drag law serves other diameters than the powder's: the law of equal spheres of each diameter, or that of the Sauter mean times d_i/d (van der Hoef et al. 2005) | `"own-diameter"`, `"van-der-hoef"` | `"own-diameter"` |
+//! | | `cohesion` | force that parts two particles of diameter d over the weight of one, Bo = F_c/(m g) | 0 to 1e6 | 0 |
 //! | `[filter]` | `widths` | edges of the box filters | whole cells along every axis, from 2 cells to half the box | 4, 8, 16 and 32 cells as far as they fit |
 //! | | `kernel` | the filter's kernel | `"box"`, `"gaussian"`, `"diffusion"`, `"sharp"` | `"box"` |
 //! | | `markers` | what results are binned by | `"solids_fraction"`, and up to two of `"slip"`, `"slip_speed"`, `"pressure_gradient"`, `"shear_rate"`, `"solids_fraction_gradient"`, `"solids_fraction_variance"` | `["solids_fraction"]` |
@@ -62,7 +66,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use crate::laws::contact::Contact;
-use crate::laws::drag::DragLaw;
+use crate::laws::drag::{DragLaw, OwnDiameter, SphereDrag, VanDerHoef};
 use crate::laws::scales::{Gas, Powder, Scales};
 pub use file::Problem;
 use file::{Kind, Problems, Quantity};
@@ -135,8 +139,8 @@ pub enum SolverChoice {
     CfdDem,
 }
 
-/// `[particles]`: what two particles do that touch, and how gas and particles see each other.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// `[particles]`: what two particles do that touch, how gas and particles see each other, and how they start.
+#[derive(Clone, Debug, PartialEq)]
 pub struct ParticlesCase {
     /// The contact law, its restitution the powder's.
     pub contact: Contact,
@@ -146,6 +150,55 @@ pub struct ParticlesCase {
     pub mapping: MappingChoice,
     /// Standard deviation of the Gaussian that it is spread to afterwards \[m\]; 0 for none.
     pub smoothing: f64,
+    /// `start` and `diameters`.
+    pub start: ParticlesStart,
+    /// How the drag law serves other diameters than the powder's.
+    pub mixture: MixtureChoice,
+    /// `cohesion`: granular Bond number of two particles of the powder's diameter \[-\].
+    pub bond_number: f64,
+}
+
+/// What particles a box starts from.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ParticlesStart {
+    /// Where they are.
+    pub places: Places,
+    /// Their diameters.
+    pub diameters: Diameters,
+}
+
+/// Where particles start.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Places {
+    /// At random places, none overlapping.
+    #[default]
+    Random,
+    /// On a lattice, as nearly cubic as the box allows.
+    Lattice,
+    /// As this file (.csv) lists them.
+    File(PathBuf),
+}
+
+/// Diameters of the particles.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Diameters {
+    /// All the powder's.
+    #[default]
+    Equal,
+    /// These \[m\], each with its share of the solids' volume; the shares add up to one.
+    Shares(Vec<(f64, f64)>),
+    /// Log-normally distributed, of this geometric standard deviation.
+    LogNormal(f64),
+}
+
+/// How a drag law of equal spheres serves a mixture of diameters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MixtureChoice {
+    /// [`OwnDiameter`](crate::laws::drag::OwnDiameter).
+    OwnDiameter,
+    /// [`VanDerHoef`](crate::laws::drag::VanDerHoef).
+    VanDerHoef,
 }
 
 /// How a particle is shared among cells.
@@ -240,6 +293,19 @@ impl DragChoice {
     /// The law, for `powder` in `gas`.
     pub fn law(self, gas: &Gas, powder: &Powder) -> Box<dyn DragLaw<f64>> {
         with_drag!(self, f64, gas, powder, |law| Box::new(law))
+    }
+
+    /// The law on each of many spheres, `powder`'s diameter that of reference.
+    pub fn of_spheres(
+        self,
+        mixture: MixtureChoice,
+        gas: &Gas,
+        powder: &Powder,
+    ) -> Box<dyn SphereDrag> {
+        with_drag!(self, f64, gas, powder, |law| match mixture {
+            MixtureChoice::OwnDiameter => Box::new(OwnDiameter(law)),
+            MixtureChoice::VanDerHoef => Box::new(VanDerHoef(law)),
+        })
     }
 }
 
@@ -574,17 +640,18 @@ impl Case {
             CaseError::NotText { path: path.to_owned(), line }
         })?;
         let name = path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into());
-        Self::parse_at(&text, &name, &path.display().to_string())
+        let folder = path.parent().unwrap_or(Path::new(""));
+        Self::parse_at(&text, &name, &path.display().to_string(), folder)
     }
 
     /// Reads the text of a case file; `name` becomes the case's name and stands in messages for
-    /// the file.
+    /// the file. Files that it names are sought in the current folder.
     ///
     /// # Errors
     /// The text is empty, not TOML, or holds something that is not acceptable; all problems are
     /// reported together.
     pub fn parse(text: &str, name: &str) -> Result<Self, CaseError> {
-        Self::parse_at(text, name, name)
+        Self::parse_at(text, name, name, Path::new(""))
     }
 
     /// The case of fields that were made elsewhere, in a box of edges `size` \[m\] with `cells` cells
@@ -613,7 +680,7 @@ impl Case {
         let mut domain = Some(Domain { size, cells, solids_fractions: vec![solids_fraction] });
         let mut problems = Problems::new(&whole);
         let case = file::read(&whole, &mut problems)
-            .and_then(|file| resolve(&file, "fields", domain.take(), &mut problems));
+            .and_then(|file| resolve(&file, "fields", domain.take(), Path::new(""), &mut problems));
         match case {
             Some(case) if problems.is_empty() => Ok(case),
             _ => {
@@ -622,10 +689,11 @@ impl Case {
         }
     }
 
-    fn parse_at(text: &str, name: &str, place: &str) -> Result<Self, CaseError> {
+    /// Files that the text names are sought in `folder`.
+    fn parse_at(text: &str, name: &str, place: &str, folder: &Path) -> Result<Self, CaseError> {
         let mut problems = Problems::new(text);
         let case = match file::read(text, &mut problems) {
-            Some(file) => resolve(&file, name, None, &mut problems),
+            Some(file) => resolve(&file, name, None, folder, &mut problems),
             None if problems.is_empty() => {
                 return Err(CaseError::Empty { place: place.to_owned() });
             }
@@ -714,12 +782,10 @@ impl Case {
                 format!(
                     "radial_distribution = {}\n\
                      friction = {}\n\
-                     granular_energy = {}\n\
-                     gas_stress = {}\n",
+                     granular_energy = {}\n",
                     quoted(&physics.radial_distribution),
                     quoted(&physics.friction),
                     quoted(&physics.terms.granular_energy),
-                    physics.terms.gas_stress,
                 ),
                 format!(
                     "perturbation = {:?}\n\
@@ -731,7 +797,15 @@ impl Case {
                 ),
                 String::new(),
             ),
-            Some(ParticlesCase { contact, steps_per_contact, mapping, smoothing }) => (
+            Some(ParticlesCase {
+                contact,
+                steps_per_contact,
+                mapping,
+                smoothing,
+                start,
+                mixture,
+                bond_number,
+            }) => (
                 String::new(),
                 String::new(),
                 format!(
@@ -741,13 +815,19 @@ impl Case {
                      tangential_damping = {:?}\n\
                      friction_coefficient = {:?}\n\
                      steps_per_contact = {steps_per_contact:?}\n\
+                     cohesion = {bond_number:?}\n\
                      mapping = {}\n\
-                     smoothing = {smoothing:?}\n",
+                     smoothing = {smoothing:?}\n\
+                     start = {}\n\
+                     {}mixture_drag = {}\n",
                     contact.stiffness,
                     contact.tangential_stiffness,
                     contact.tangential_damping,
                     contact.friction,
                     quoted(mapping),
+                    start.places,
+                    start.diameters,
+                    quoted(mixture),
                 ),
             ),
         };
@@ -769,6 +849,7 @@ impl Case {
              drag = {}\n\
              {continuum}\
              gas_inertia = {}\n\
+             gas_stress = {}\n\
              drive = {}\n\
              {}gravity = {:?}\n\
              {discrete}\
@@ -803,6 +884,7 @@ impl Case {
             }),
             quoted(&physics.drag),
             physics.terms.gas_inertia,
+            physics.terms.gas_stress,
             quoted(&drive),
             gas_flux,
             physics.gravity,
@@ -818,6 +900,36 @@ impl Case {
             quoted(&output.fields),
             output.fields_interval,
         )
+    }
+}
+
+impl fmt::Display for Places {
+    /// The value in a case file.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Random => f.write_str("\"random\""),
+            Self::Lattice => f.write_str("\"lattice\""),
+            Self::File(path) => f.write_str(&quoted(&path.to_string_lossy())),
+        }
+    }
+}
+
+impl fmt::Display for Diameters {
+    /// The line of a case file, if one is needed.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Equal => Ok(()),
+            Self::Shares(classes) => {
+                let class = |(diameter, share): &(f64, f64)| {
+                    format!("{{ diameter = {diameter:?}, share = {share:?} }}")
+                };
+                let classes: Vec<String> = classes.iter().map(class).collect();
+                writeln!(f, "diameters = [{}]", classes.join(", "))
+            }
+            Self::LogNormal(deviation) => {
+                writeln!(f, "diameters = {{ geometric_deviation = {deviation:?} }}")
+            }
+        }
     }
 }
 
@@ -931,7 +1043,8 @@ precision = "f64"
             assert!(default.contains(&format!("[{section}]")));
             // Of edges it shows how; the flux of the uniform state has no number.
             let named = |key: &&&str| {
-                !["cell", "gas_flux", "stiffness"].contains(*key) && !key.ends_with("_edges")
+                !["cell", "gas_flux", "stiffness", "diameters"].contains(*key)
+                    && !key.ends_with("_edges")
             };
             for key in keys.iter().filter(named) {
                 assert!(default.contains(&format!("\n{key} = ")), "{key}");
@@ -1174,6 +1287,112 @@ precision = "f64"
             .replace("[8, 8, 32]", "[8, 32]");
         let refused = Case::parse(&flat, "x").unwrap_err().to_string();
         assert!(refused.contains("three edges"), "{refused}");
+    }
+
+    #[test]
+    fn particles_start_as_a_case_says() {
+        let text = include_str!("../examples/cfd-dem.toml");
+        let from = "start = \"random\"";
+        let with = |to: &str| Case::parse(&text.replacen(from, to, 1), "x");
+        assert!(text.contains(from));
+        for (to, start) in [
+            ("", ParticlesStart::default()),
+            (
+                "start = \"lattice\"",
+                ParticlesStart { places: Places::Lattice, diameters: Diameters::Equal },
+            ),
+            (
+                "diameters = [{ diameter = \"60 um\", share = 0.4 }, { share = 0.6, diameter = \"1.2 d\" }]",
+                ParticlesStart {
+                    places: Places::Random,
+                    diameters: Diameters::Shares(vec![(60e-6, 0.4), (1.2 * 75e-6, 0.6)]),
+                },
+            ),
+            (
+                "diameters = { geometric_deviation = 1.2 }",
+                ParticlesStart { places: Places::Random, diameters: Diameters::LogNormal(1.2) },
+            ),
+        ] {
+            let case = with(to).unwrap();
+            assert_eq!(case.particles.as_ref().unwrap().start, start, "{to}");
+            assert_eq!(Case::parse(&case.to_toml(), "x").unwrap(), case);
+        }
+        // A table lies beside the case, and is the same wherever the case is read from next.
+        let case = with("start = \"bed \\\"1\\\".csv\"").unwrap();
+        let Places::File(path) = &case.particles.as_ref().unwrap().start.places else { panic!() };
+        assert!(path.is_absolute() && path.ends_with("bed \"1\".csv"), "{path:?}");
+        assert_eq!(Case::parse(&case.to_toml(), "x").unwrap(), case);
+        for (to, key, parts) in [
+            ("start = \"latice\"", "start", &["did you mean \"lattice\"", ".csv"] as &[&str]),
+            ("start = 3", "start", &["text in quotes"]),
+            ("diameters = 3", "diameters", &["a list is expected", "geometric_deviation"]),
+            ("diameters = { geometric_deviation = 4 }", "diameters", &["1.001 to 1.5"]),
+            (
+                "diameters = { geometric_deviation = true }",
+                "diameters",
+                &["geometric_deviation: a number"],
+            ),
+            ("diameters = [{ diameter = 75e-6 }]", "diameters", &["entry 1", "share are needed"]),
+            (
+                "diameters = [{ diameter = \"75 s\", share = 1 }]",
+                "diameters",
+                &["entry 1", "unknown unit s"],
+            ),
+            (
+                "diameters = [{ diameter = 75e-6, share = 0.5 }, { diameter = 75e-6, number = 1 }]",
+                "diameters",
+                &["entry 2", "nothing else"],
+            ),
+            ("diameters = [{ diameter = 75e-6, share = 0.9 }]", "diameters", &["add up to 0.9"]),
+            (
+                "diameters = [{ diameter = 60e-6, share = 1 }]",
+                "diameters",
+                &["Sauter", " is 6e-5 m"],
+            ),
+            (
+                "diameters = [{ diameter = 20e-6, share = 0.1 }, { diameter = 290e-6, share = 0.9 }]",
+                "diameters",
+                &["14.5 times"],
+            ),
+            (
+                "start = \"a.csv\"\ndiameters = { geometric_deviation = 1.2 }",
+                "diameters",
+                &["keep one"],
+            ),
+            ("cohesion = -1", "cohesion", &["0 to"]),
+            ("mixture_drag = \"sauter\"", "mixture_drag", &["\"van-der-hoef\""]),
+        ] {
+            let base = text.replacen("cohesion = 0 ", "#", 1).replacen("mixture_drag = ", "#", 1);
+            match Case::parse(&base.replacen(from, to, 1), "x") {
+                Err(CaseError::Invalid { problems, .. }) => {
+                    let [problem] = &problems[..] else { panic!("{to}: {problems:?}") };
+                    assert_eq!(problem.key, format!("[particles] {key}"), "{to}");
+                    for part in parts {
+                        assert!(problem.why.contains(part), "{to}: {}", problem.why);
+                    }
+                }
+                other => panic!("{to}: {other:?}"),
+            }
+        }
+        // Two that rest on each other too deeply: the remedy is accepted.
+        let sticky = text.replacen("cohesion = 0 ", "cohesion = 1000 #", 1);
+        let why = Case::parse(&sticky, "x").unwrap().particles.unwrap();
+        assert!(
+            (why.contact.cohesion * 0.25 * 75e-6 / (1000.0 * 3.3134e-10 * 9.81) - 1.0).abs() < 1e-3
+        );
+        let sticky = text.replacen("cohesion = 0 ", "cohesion = 10000 #", 1);
+        let why = Case::parse(&sticky, "x").unwrap_err().to_string();
+        let remedy =
+            why.split("stiffness = ").nth(1).unwrap().split(' ').next().unwrap().to_owned();
+        let stiff = sticky.replacen(
+            "overlap = 0.02 ",
+            &format!("stiffness = {} #", 1.001 * remedy.parse::<f64>().unwrap()),
+            1,
+        );
+        assert!(Case::parse(&stiff, "x").is_ok(), "{why}");
+        let many = text.replacen("solids_fraction = 0.05 ", "solids_fraction = [0.05, 0.1] ", 1);
+        let why = Case::parse(&many.replacen(from, "start = \"a.csv\"", 1), "x").unwrap_err();
+        assert!(why.to_string().contains("one number"), "{why}");
     }
 
     #[test]

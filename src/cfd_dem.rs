@@ -2,16 +2,17 @@
 //! larger than they are, in a periodic box of three dimensions.
 //!
 //! ```text
-//! m dv/dt   = Σ F + V_p (g (ρ - ρ_s) - ∇p) + K (u_p - v)
-//! ∂(ε ρ_g u)/∂t + ∇·(ε ρ_g u u) = ε (g (ρ - ρ_g) - ∇p) - Σ_p K (u_p - v)/V
+//! m dv/dt   = Σ F + V_p (g (ρ - ρ_s) - ∇p + ∇·τ) + K (u_p - v)
+//! ∂(ε ρ_g u)/∂t + ∇·(ε ρ_g u u) = ε (g (ρ - ρ_g) - ∇p + ∇·τ) - Σ_p K (u_p - v)/V
 //! ∂ε/∂t + ∇·(ε u) = 0
 //! ```
 //!
 //! ε = 1 - φ from the particles' volumes, ρ the mean density of the mixture: the frame is the one in which
 //! the mixture has no momentum, the mean gas pressure gradient balances the weight, and p is the periodic rest. u_p is the
 //! gas velocity that the particle sees (`mapping.rs`), K = m λ with λ = β/(φ ρ_s) of the fine-grid
-//! drag law at the fraction and the slip that it sees. The gas is incompressible; its molecular
-//! stress is left out.
+//! drag law at the fraction and the slip that it sees, for its own diameter ([`SphereDrag`]). The gas is
+//! incompressible; τ is its molecular stress, if a case asks for it, and a mean pressure gradient may
+//! keep the gas flux in place of balancing the weight (`drive.rs`).
 //!
 //! Staggered grid: φ and p at cell centres, u on faces. A step of [`CfdDem::step`], of length Δt:
 //!
@@ -28,26 +29,34 @@
 //! round-off. It is stable while what pressure does to particles in a step is small against what it
 //! does to gas, φ² λ Δt/(1-φ)² < 1, which that limit sees to as well.
 
+mod drive;
 mod fields;
 mod gas;
 mod mapping;
 mod smoothing;
+mod start;
 mod state;
 
 pub use smoothing::Smoothing;
+pub use start::{SpheresError, sauter_mean, spheres};
 pub use state::StateError;
 
-use crate::case::{DragChoice, MappingChoice};
-use crate::dem::{self, Dem, Quad, SKIN, Seen, StartError, packed};
+use crate::case::{DragChoice, Drive, MappingChoice, MixtureChoice, ParticlesStart};
+use crate::dem::{self, Dem, Quad, SKIN, Seen};
+use crate::drive::{GasFlux, uniform_velocities};
 use crate::field::{Faces, Field, Layout};
 use crate::fine::FineFields;
 use crate::grid::Grid;
 use crate::laws::contact::{Contact, TANGENTIAL_MOBILITY};
-use crate::laws::drag::DragLaw;
+use crate::laws::drag::{DragLaw, SphereDrag};
 use crate::laws::scales::{Gas, Powder, Scales, homogeneous_slip};
 use crate::poisson::Poisson;
 use crate::rows::Rows;
-use crate::simulation::{Failure, Limit, Means, Simulation, StepReport};
+use crate::simulation::{
+    DIFFUSION, FIRST_STEP, Failure, GROWTH, LONGEST_STEP, Limit, Means, Simulation, StepReport,
+    UNSOLVED,
+};
+use gas::Viscous;
 use mapping::Mapping;
 use std::f64::consts::PI;
 use std::io::{self, Read, Write};
@@ -61,18 +70,8 @@ const SOLIDS_COURANT: f64 = 0.5;
 /// Largest λ Δt: drag takes at most this share of a particle's slip in a step.
 const EXCHANGE: f64 = 0.2;
 
-/// Growth of the step from one to the next.
-const GROWTH: f64 = 1.25;
-
-/// First step and longest step, in u_t/g.
-const FIRST_STEP: f64 = 1e-3;
-const LONGEST_STEP: f64 = 0.05;
-
 /// Remaining divergence of the gas flux, times Δt, that ends the pressure iteration.
 const TOLERANCE: f64 = 1e-4;
-
-/// That above which the pressure counts as not converged.
-const UNSOLVED: f64 = 0.1;
 
 /// Most pressure iterations in a step.
 const MOST_ITERATIONS: usize = 100;
@@ -83,7 +82,7 @@ const FULLEST: f64 = 0.95;
 /// What CFD-DEM is asked to compute.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setup {
-    /// The powder.
+    /// The powder; of several diameters its is that of reference.
     pub powder: Powder,
     /// The gas.
     pub gas: Gas,
@@ -91,8 +90,14 @@ pub struct Setup {
     pub gravity: f64,
     /// Drag law.
     pub drag: DragChoice,
+    /// How it serves particles of other diameters.
+    pub mixture: MixtureChoice,
     /// Whether the gas carries its momentum along.
     pub gas_inertia: bool,
+    /// Whether the gas's molecular stress acts between cells.
+    pub gas_stress: bool,
+    /// What carries the weight.
+    pub drive: Drive,
     /// Mean solids fraction of the box, met by a whole number of particles.
     pub solids_fraction: f64,
     /// What two particles do that touch.
@@ -112,27 +117,14 @@ pub struct Setup {
 }
 
 /// A box that cannot be simulated.
-#[derive(Clone, Debug, thiserror::Error)]
+#[derive(Debug, thiserror::Error)]
 pub enum SetupError {
     /// The particles cannot be placed.
-    #[error("the particles cannot be placed")]
-    Start(#[from] StartError),
+    #[error(transparent)]
+    Start(#[from] SpheresError),
     /// They cannot be simulated.
     #[error("the particles cannot be simulated")]
     Particles(#[from] dem::SetupError),
-    /// There is none.
-    #[error(
-        "a solids fraction of {fraction} is {number:.2} particles of {diameter:.3e} m in this box: one at \
-         least is needed"
-    )]
-    None {
-        /// Solids fraction asked for.
-        fraction: f64,
-        /// Particles that this would be.
-        number: f64,
-        /// Their diameter \[m\].
-        diameter: f64,
-    },
 }
 
 /// Why a step could not be made; the state is of no use any more.
@@ -188,14 +180,21 @@ pub struct CfdDem {
     setup: Setup,
     scales: Scales,
     law: Box<dyn DragLaw<f64>>,
+    /// The same for each of the particles.
+    drag_on: Box<dyn SphereDrag>,
     dem: Dem,
     /// Contacts of the last contact step.
     touches: Vec<Seen>,
     mapping: Mapping,
     /// g (ρ - ρ_k) of particles and gas \[N/m³\].
     buoyancy: [f64; 2],
-    /// Volume of one particle \[m³\].
+    /// Radius \[m\] and volume \[m³\] of a particle of the powder's diameter.
+    radius: f64,
     volume: f64,
+    /// Volume of all particles, in such particles.
+    whole: f64,
+    /// The gas flux that is kept, if one is.
+    gas_flux: Option<GasFlux>,
     time: f64,
     next_dt: (f64, Limit),
     /// The step before \[s\]; 0 if there is none.
@@ -216,6 +215,8 @@ pub struct CfdDem {
     mobility: Faces<f64, 3>,
     right: Field<f64, 3>,
     poisson: Poisson<f64, 3>,
+    /// The gas's molecular stress, if it acts.
+    viscous: Option<Box<Viscous>>,
     /// φ per cell.
     filled: Vec<[f64; 1]>,
     /// K/V and K v/V per cell, as shared out and as fields.
@@ -240,21 +241,12 @@ impl CfdDem {
     /// # Errors
     /// The particles cannot be placed or simulated.
     pub fn new(grid: Grid<3>, setup: Setup) -> Result<Self, SetupError> {
-        let diameter = setup.powder.diameter;
-        let number = setup.solids_fraction * grid.size().iter().product::<f64>() * 6.0
-            / (PI * diameter.powi(3));
-        if number < 0.5 {
-            let fraction = setup.solids_fraction;
-            return Err(SetupError::None { fraction, number, diameter });
-        }
-        let diameters = vec![diameter; number.round() as usize];
-        let spheres =
-            packed(grid.size(), &diameters, setup.powder.density, setup.seed, setup.parallel)?;
+        let spheres = spheres(&grid, &setup, &ParticlesStart::default())?;
         Self::with_spheres(grid, setup, &spheres)
     }
 
-    /// These particles, all of the powder's diameter, their velocities taken against that of the uniform
-    /// state.
+    /// These particles, of the powder's density, their velocities taken against that of the uniform state of
+    /// equal particles of the powder's diameter.
     ///
     /// # Errors
     /// They cannot be simulated.
@@ -267,11 +259,19 @@ impl CfdDem {
         let layout = Layout::from(&grid);
         let zeros = || Field::zeros(layout);
         let volume = PI / 6.0 * powder.diameter.powi(3);
-        let mean = spheres.len() as f64 * volume / grid.size().iter().product::<f64>();
+        let ratio = |sphere: &dem::Sphere| sphere.diameter / powder.diameter;
+        let whole: f64 = spheres.iter().map(|sphere| ratio(sphere).powi(3)).sum();
+        let mean = whole * volume / grid.size().iter().product::<f64>();
         let mixture = powder.density * mean + gas.density * (1.0 - mean);
         let law = setup.drag.law(&gas, &powder);
-        let slip = homogeneous_slip(&law, &powder, &gas, gravity, mean);
-        let falling = -gas.density * (1.0 - mean) * slip / mixture;
+        let slip = match setup.drive {
+            Drive::GasFlux(Some(flux)) => flux / (1.0 - mean),
+            _ => homogeneous_slip(&law, &powder, &gas, gravity, mean),
+        };
+        let gas_flux = (setup.drive != Drive::PressureGradient)
+            .then(|| GasFlux::uniform(slip, mean, &law, &powder, &gas, gravity));
+        let [falling, rising] = uniform_velocities(&powder, &gas, mean, slip);
+        let smallest = spheres.iter().map(ratio).fold(f64::INFINITY, f64::min).min(1e3);
         let spheres: Vec<dem::Sphere> = spheres
             .iter()
             .map(|sphere| {
@@ -282,7 +282,8 @@ impl CfdDem {
         // The contact's own step, shortened until the rhythm is a whole number of them.
         let stiffest =
             contact.stiffness * (TANGENTIAL_MOBILITY * contact.tangential_stiffness).max(1.0);
-        let shortest = PI * (0.5 * powder.density * volume / stiffest).sqrt();
+        let lightest = powder.density * volume * smallest.powi(3);
+        let shortest = PI * (0.5 * lightest / stiffest).sqrt();
         let steps = (setup.rhythm * setup.steps_per_contact / shortest).ceil().max(1.0);
         let dem = Dem::new(
             dem::Setup {
@@ -296,15 +297,19 @@ impl CfdDem {
         )?;
         let scales = Scales::new(&powder, &gas, gravity);
         let mut carrier = Field::zero_faces(layout);
-        carrier[2].set(|_| powder.density * mean * slip / mixture);
+        carrier[2].set(|_| rising);
         let mut flow = Self {
             grid,
             rows: Rows::new(layout, setup.parallel),
             setup: Setup { solids_fraction: mean, ..setup },
             law,
+            drag_on: setup.drag.of_spheres(setup.mixture, &gas, &powder),
             mapping: Mapping::new(&grid, setup.mapping, setup.smoothing),
             buoyancy: [gravity * (mixture - powder.density), gravity * (mixture - gas.density)],
+            radius: 0.5 * powder.diameter,
             volume,
+            whole,
+            gas_flux,
             time: 0.0,
             next_dt: (FIRST_STEP * scales.time(), Limit::Growth),
             last_dt: 0.0,
@@ -320,6 +325,7 @@ impl CfdDem {
             mobility: Field::zero_faces(layout),
             right: zeros(),
             poisson: Poisson::new(&grid, setup.parallel),
+            viscous: setup.gas_stress.then(|| Box::new(Viscous::new(&grid, gas.viscosity))),
             filled: vec![[0.0]; grid.len()],
             exchange: vec![[0.0; 4]; grid.len()],
             drag: zeros(),
@@ -385,6 +391,7 @@ impl CfdDem {
             return Err(StepError::Pressure { time, iterations, residual: residual * dt, dt });
         }
         self.owe(dt);
+        self.keep_gas_flux(dt);
         let owed = begin.elapsed().as_secs_f64();
         let stages = [moved, shared - moved + owed - solved, solved - shared];
         for (clock, seconds) in self.clock.iter_mut().zip(stages) {
@@ -411,6 +418,10 @@ impl CfdDem {
             (GAS_COURANT / (gas + tiny), Limit::Gas),
             (EXCHANGE / (exchange + tiny), Limit::Exchange),
             (LONGEST_STEP * self.scales.time(), Limit::Longest),
+            (
+                self.viscous.as_ref().map_or(f64::INFINITY, |_| self.longest_viscous()),
+                Limit::Diffusion,
+            ),
         ]
         .into_iter()
         .fold(
@@ -419,13 +430,27 @@ impl CfdDem {
         )
     }
 
+    /// Longest step of the gas's molecular stress \[s\].
+    fn longest_viscous(&self) -> f64 {
+        let Gas { density, viscosity } = self.setup.gas;
+        let square: f64 = self.grid.spacing.iter().map(|h| 1.0 / (h * h)).sum();
+        DIFFUSION * density / (viscosity * square)
+    }
+
+    /// Diameter of a particle over the powder's, from its place and radius.
+    #[inline(always)]
+    fn ratio(&self, position: &Quad) -> f64 {
+        position.0[3] / self.radius
+    }
+
     /// φ where the particles are, the two before kept.
     fn fill(&mut self) {
         self.phi.rotate_right(1);
         self.filled.fill([0.0]);
         let share = self.volume / self.grid.cell_volume();
         for position in self.dem.positions() {
-            self.mapping.shares(*position).give(&mut self.filled, [share]);
+            let volume = share * self.ratio(position).powi(3);
+            self.mapping.shares(*position).give(&mut self.filled, [volume]);
         }
         self.mapping.smooth(&mut self.filled);
         let (filled, index) = (&self.filled, index(self.grid.cells));
@@ -458,6 +483,7 @@ impl CfdDem {
         let mass = density * self.volume;
         self.exchange.fill([0.0; 4]);
         let mut fastest = [0.0f64; 2];
+        let radius = self.radius;
         let particles = self.dem.positions().iter().zip(self.dem.velocities());
         for ((position, velocity), rate) in particles.zip(&mut self.rates) {
             let shares = self.mapping.shares(*position);
@@ -465,8 +491,9 @@ impl CfdDem {
             let v = velocity.vector();
             let slip = [ux - v[0], uy - v[1], uz - v[2]];
             let speed = slip.iter().map(|s| s * s).sum::<f64>().sqrt();
-            *rate = self.law.beta_per_fraction(phi, speed) / density;
-            let k = mass * *rate / cell;
+            let ratio = position.0[3] / radius;
+            *rate = self.drag_on.of_sphere(phi, speed, ratio) / density;
+            let k = mass * ratio.powi(3) * *rate / cell;
             shares.give(&mut self.exchange, [k, k * v[0], k * v[1], k * v[2]]);
             let way = (0..3).map(|axis| v[axis].abs() * inverse[axis]).fold(0.0, f64::max);
             fastest = [fastest[0].max(way), fastest[1].max(*rate)];
@@ -526,7 +553,7 @@ impl CfdDem {
     fn owe(&mut self, dt: f64) {
         self.see_pulls();
         let density = self.setup.powder.density;
-        let weight = self.buoyancy[0] / density;
+        let weight = self.driven()[0] / density;
         let Self { dem, mapping, pulls, rates, .. } = self;
         for place in 0..dem.len() {
             let seen = mapping.shares(dem.positions()[place]).see(pulls);
@@ -537,6 +564,17 @@ impl CfdDem {
                 dt * (rate * (seen[axis] - v[axis]) - seen[3 + axis] / density + up)
             });
             dem.drives_mut()[place] = Quad([change[0], change[1], change[2], 0.0]);
+        }
+        if let Some(viscous) = &mut self.viscous {
+            viscous.see(self.rows.layout(), &mut self.mapping);
+            let impulse = dt / density;
+            for place in 0..self.dem.len() {
+                let seen = self.mapping.shares(self.dem.positions()[place]).see(&viscous.seen);
+                let owed = &mut self.dem.drives_mut()[place].0;
+                for axis in 0..3 {
+                    owed[axis] += impulse * seen[axis];
+                }
+            }
         }
     }
 
@@ -589,32 +627,29 @@ impl CfdDem {
             }
         }
         let mean = self.setup.solids_fraction;
-        let (density, number) = (self.setup.powder.density, self.dem.len() as f64);
-        let mut falling = 0.0;
+        let (density, whole) = (self.setup.powder.density, self.whole);
+        let (mut falling, mut seen) = (0.0, 0.0);
         let mut solids = [0.0; 3];
-        for (velocity, owed) in self.dem.velocities().iter().zip(self.dem.drives()) {
-            falling += velocity.0[2];
+        let particles = self.dem.velocities().iter().zip(self.dem.drives());
+        for ((velocity, owed), position) in particles.zip(self.dem.positions()) {
+            let volume = self.ratio(position).powi(3);
+            falling += volume * velocity.0[2];
             for axis in 0..3 {
-                solids[axis] += velocity.0[axis] + owed.0[axis];
+                solids[axis] += volume * (velocity.0[axis] + owed.0[axis]);
             }
+            seen += volume * self.mapping.shares(*position).see(&self.pulls)[2];
         }
-        let falling = falling / number;
-        let seen: f64 = self
-            .dem
-            .positions()
-            .iter()
-            .map(|position| self.mapping.shares(*position).see(&self.pulls)[2])
-            .sum();
+        let falling = falling / whole;
         Means {
             slip: gas / (cells * (1.0 - mean)) - falling,
-            particle_slip: seen / number - falling,
+            particle_slip: seen / whole - falling,
             solids_fraction: self.phi[0].mean(),
             solids_fraction_variance: (square / cells - mean * mean).max(0.0),
             momentum: std::array::from_fn(|axis| {
                 self.setup.gas.density * momentum[axis] / cells
-                    + density * mean * solids[axis] / number
+                    + density * mean * solids[axis] / whole
             }),
-            pressure_gradient: 1.0,
+            pressure_gradient: self.pressure_gradient(),
         }
     }
 }

@@ -6,7 +6,7 @@
 //! same but `[run] duration`, which may be any that has not been passed yet: so a run can be
 //! prolonged. Once the run has its folder, the checkpoint is removed.
 //!
-//! # Format, version 5
+//! # Format, version 6
 //!
 //! Numbers, texts and lists as in all binary files of this program: little-endian, lengths u64.
 //! `Signals` and `Cost` are their fields in the order in which they are declared.
@@ -46,7 +46,7 @@ use std::time::{Duration, Instant};
 const MAGIC: &[u8; 8] = b"favrebox";
 
 /// Version of the format.
-const FORMAT: u32 = 5;
+const FORMAT: u32 = 6;
 
 /// Version of the program: another one may compute other bits.
 const VERSION: &str = env!("CARGO_PKG_VERSION");

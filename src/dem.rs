@@ -19,7 +19,7 @@
 //! and the order of all sums is that of the slabs, whatever the number of threads. Where particles are few, and for some steps
 //! meet none but a few neighbours, they make those steps without a look at the others (`rounds.rs`).
 //!
-//! Left out: cohesion, rolling resistance, walls. A sphere of infinite density is held: it stays at its
+//! Left out: rolling resistance, walls. A sphere of infinite density is held: it stays at its
 //! velocity.
 
 mod forces;
@@ -29,6 +29,7 @@ mod rounds;
 mod start;
 mod state;
 
+pub(crate) use start::normals;
 pub use start::{StartError, lattice, packed, thermal};
 pub use state::StateError;
 pub(crate) use state::{take, take_f64};
@@ -186,7 +187,7 @@ pub struct Energy {
     pub translation: f64,
     /// Σ I ω²/2.
     pub rotation: f64,
-    /// Σ k_n δ²/2 + k_t ξ²/2 of the contacts.
+    /// Σ k_n δ²/2 + k_t ξ²/2 - F_c δ of the contacts.
     pub springs: f64,
     /// What dashpots, sliders and parting springs have taken since the start.
     pub lost: f64,
@@ -208,6 +209,17 @@ pub struct Seen {
     pub arm: [f64; 3],
     /// Force on the first \[N\]; on the second acts its opposite.
     pub force: [f64; 3],
+}
+
+impl Seen {
+    /// The centres of both spheres \[m\], each with half the distance between them \[m\].
+    pub fn centres(&self) -> [Quad; 2] {
+        let Quad([x, y, z, half]) = self.place;
+        [0.5, -0.5].map(|part| {
+            let [dx, dy, dz] = self.arm.map(|arm| part * arm);
+            Quad([x + dx, y + dy, z + dz, half])
+        })
+    }
 }
 
 /// Spheres in a periodic box.
@@ -519,6 +531,11 @@ impl Dem {
         self.shares().flat_map(|share| &share.seen)
     }
 
+    /// Deepest overlap of two spheres over their mean diameter \[-\].
+    pub fn deepest_overlap(&self) -> f64 {
+        self.shares().fold(0.0, |most, share| most.max(share.deepest))
+    }
+
     /// Pairs of spheres that touch.
     pub fn touching(&self) -> usize {
         self.shares().map(|share| share.contacts.len()).sum()
@@ -632,8 +649,14 @@ impl Dem {
 
 /// Whether a set-up can be simulated.
 fn check(setup: &Setup, spheres: &[Sphere]) -> Result<(), SetupError> {
-    let Contact { stiffness, restitution, tangential_stiffness, tangential_damping, friction } =
-        setup.contact;
+    let Contact {
+        stiffness,
+        restitution,
+        tangential_stiffness,
+        tangential_damping,
+        friction,
+        cohesion,
+    } = setup.contact;
     let positive = |x: f64| x > 0.0 && x.is_finite();
     let rules = [
         ("size of the box along axis 0", setup.size[0], positive(setup.size[0]), "positive"),
@@ -654,6 +677,7 @@ fn check(setup: &Setup, spheres: &[Sphere]) -> Result<(), SetupError> {
             "from 0 to 10 times the normal one",
         ),
         ("friction", friction, friction >= 0.0 && friction.is_finite(), "0 or more"),
+        ("cohesion", cohesion, cohesion >= 0.0 && cohesion.is_finite(), "0 or more"),
         (
             "steps per contact",
             setup.steps_per_contact,

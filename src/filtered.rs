@@ -1,7 +1,7 @@
 //! Filtered quantities: what a coarse-grid solver needs, from filtered moments of the fine fields.
 //!
 //! An overbar or filt() is the filter, a tilde the Favre (phase-weighted) filter, φ the solids
-//! fraction, u the velocities, s = ũ_g - ũ_s the filtered slip, f = β (u_g - u_s) the drag, the last
+//! fraction, u the velocities, s = ũ_g - ũ_s the filtered slip, f the drag on the solids per volume, the last
 //! axis vertical. Every formula stands once: [`Moments`] are what is filtered, [`Term`] what follows
 //! from them at one position and is summed, [`QUANTITIES`] what is reported, each the ratio or the
 //! slope of such sums. Deviators and isotropic parts are those of the `D` simulated directions: the
@@ -58,6 +58,10 @@ pub struct Moments<N, const D: usize> {
     pub solids_flux_gradient: [[N; D]; D],
     /// ∂/∂x_j filt((1-φ) u_g,i) \[1/s\].
     pub gas_flux_gradient: [[N; D]; D],
+    /// Particles per volume, where they are counted; not in two dimensions \[1/m³\].
+    pub number_density: N,
+    /// Their contacts per volume, likewise \[1/m³\].
+    pub contact_density: N,
 }
 
 /// Below this fraction a phase is absent, and has neither velocity nor gradient: what a transform's
@@ -162,6 +166,8 @@ impl<N: Number, const D: usize> Moments<N, D> {
             kinetic_stress: tensor,
             solids_flux_gradient: tensor,
             gas_flux_gradient: tensor,
+            number_density: zero,
+            contact_density: zero,
         }
     }
 
@@ -416,6 +422,10 @@ terms! {
     GasResidualStressYz,
     /// yy.
     GasResidualStressYy,
+    /// Particles per volume, where they are counted \[1/m³\].
+    NumberDensity,
+    /// Their contacts per volume, a contact counted for either \[1/m³\].
+    ContactDensity,
 }
 
 /// Number of terms in `dimension` dimensions, filled up to whole [`Lanes`](crate::lanes::Lanes).
@@ -548,6 +558,8 @@ pub fn terms<N: Number, const D: usize>(
         set!(Term::GasResidualStressXy, gas_residual[0][1]);
         set!(Term::GasResidualStressYz, gas_residual[1][z]);
         set!(Term::GasResidualStressYy, gas_residual[1][1]);
+        set!(Term::NumberDensity, moments.number_density);
+        set!(Term::ContactDensity, moments.contact_density);
     }
 }
 
@@ -762,9 +774,12 @@ macro_rules! quantities {
     };
 }
 
-/// Whether a name ends with a component of the direction that two dimensions lack.
+/// Whether a name ends with a component of the direction that two dimensions lack, or is of particles.
 const fn is_third(name: &str) -> bool {
     let name = name.as_bytes();
+    if name.len() > 12 && name[0] == b'c' && name[1] == b'o' && name[2] == b'o' {
+        return true;
+    }
     let (a, b) = (name[name.len() - 2], name[name.len() - 1]);
     name[name.len() - 3] == b'_' && (a == b'y' || b == b'y')
 }
@@ -876,6 +891,8 @@ quantities! {
     "solids_anisotropy" Number Ratio ratio(&[(1.0, T::ResidualStressZz)], T::ResidualPressure);
     /// | `gas_anisotropy` | Σ R_g,zz / Σ(tr R_g / D) |
     "gas_anisotropy" Number Ratio ratio(&[(1.0, T::GasResidualStressZz)], T::GasResidualPressure);
+    /// | `coordination_number` | mean number of others that a particle touches, where particles are followed one by one |
+    "coordination_number" Number Ratio ratio(&[(1.0, T::ContactDensity)], T::NumberDensity);
     /// | `granular_temperature` | Σ filt(φ Θ) / Σ φ̄ |
     "granular_temperature" SquaredVelocity Ratio ratio(&[(1.0, T::FractionTemperature)], T::SolidsFraction);
     /// | `solids_energy` | sub-filter kinetic energy Σ tr R / Σ 2 ρ_s φ̄ |
@@ -941,6 +958,8 @@ mod tests {
             }),
             gas_flux_gradient: tensor!(D, |i, j| 0.8 * gradient[i][j]
                 - gas[i] * [3.0, 4.0, 12.0][j]),
+            number_density: 4e11,
+            contact_density: 1e12,
         }
     }
 
@@ -1005,6 +1024,9 @@ mod tests {
         check("solids_dispersion", 1.4 / (density * 0.2 * width * width * 40.0));
         check("gas_dispersion", 0.02 / (1.3 * 0.8 * width * width * 40.0));
         check("granular_temperature", 0.004);
+        if D == 3 {
+            check("coordination_number", 2.5);
+        }
         // Off the diagonal of z and x: Sd = 20.
         check("solids_stress_kinetic_xz", -2.0 * 0.7 * 20.0);
         check("solids_stress_kinetic_zz", 3.0);
@@ -1093,7 +1115,7 @@ mod tests {
     fn quantities_have_their_own_names_and_scales() {
         let names: std::collections::BTreeSet<_> = QUANTITIES.iter().map(|q| q.name).collect();
         assert_eq!(names.len(), QUANTITY_COUNT);
-        assert_eq!(QUANTITIES.iter().filter(|quantity| quantity.only_3d).count(), 9);
+        assert_eq!(QUANTITIES.iter().filter(|quantity| quantity.only_3d).count(), 10);
         let scales = Scales::new(&POWDER, &GAS, 9.81);
         for (kind, unit, scale) in [
             (Kind::Number, "-", 1.0),

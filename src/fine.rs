@@ -35,8 +35,10 @@ pub struct FineFields<const D: usize> {
     pub gas_velocity: [Vec<f64>; D],
     /// Gradient of the gas pressure, of its periodic part in a periodic box, ∇p \[Pa/m\].
     pub pressure_gradient: [Vec<f64>; D],
-    /// β of the fine-grid drag law in each cell: force on the solids = β (u_g - u_s) \[kg/m³/s\].
+    /// β of the fine-grid drag law in each cell \[kg/m³/s\].
     pub drag_coefficient: Vec<f64>,
+    /// Drag on the solids per volume f \[Pa/m\]: β (u_g - u_s), or the sum over the particles of a cell.
+    pub drag: [Vec<f64>; D],
     /// Granular temperature Θ \[m²/s²\].
     pub granular_temperature: Vec<f64>,
     /// Isotropic part of the solids' kinetic-theory stress, compression positive:
@@ -45,6 +47,24 @@ pub struct FineFields<const D: usize> {
     /// Deviatoric kinetic-theory stress of the solids, compression positive: -2 μ_s S \[Pa\];
     /// one vector per component, in the order of [`symmetric_index`].
     pub solids_stress: Vec<Vec<f64>>,
+    /// How many particles there are and touch, of a simulator that follows them one by one.
+    pub counts: Option<Counts>,
+}
+
+/// Particles per volume, and of each the others that it touches.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Counts {
+    /// Particles per volume n \[1/m³\].
+    pub number_density: Vec<f64>,
+    /// Their contacts per volume, a contact counted for either particle, n Z \[1/m³\].
+    pub contact_density: Vec<f64>,
+}
+
+impl Counts {
+    /// None in any of `cells`.
+    pub fn zeros(cells: usize) -> Self {
+        Self { number_density: vec![0.0; cells], contact_density: vec![0.0; cells] }
+    }
 }
 
 impl<const D: usize> FineFields<D> {
@@ -60,9 +80,11 @@ impl<const D: usize> FineFields<D> {
             gas_velocity: std::array::from_fn(|_| zero()),
             pressure_gradient: std::array::from_fn(|_| zero()),
             drag_coefficient: zero(),
+            drag: std::array::from_fn(|_| zero()),
             granular_temperature: zero(),
             solids_pressure: zero(),
             solids_stress: vec![zero(); symmetric_components(D)],
+            counts: None,
         }
     }
 }

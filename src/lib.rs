@@ -14,9 +14,11 @@ pub mod stencil;
 
 pub mod cfd_dem;
 pub mod dem;
+pub mod drive;
 pub mod laws;
 pub mod simulation;
 pub mod two_fluid;
+pub mod viscous;
 
 pub mod exponents;
 pub mod expression;

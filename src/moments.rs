@@ -33,9 +33,9 @@ const fn gradient(number: usize, dimension: usize) -> usize {
     symmetric(3, dimension) + number * dimension * dimension
 }
 
-/// Number of filtered moments in `dimension` dimensions: 41 in two, 67 in three.
+/// Number of filtered moments in `dimension` dimensions: 41 in two, 69 in three, where particles are counted.
 pub const fn moment_count(dimension: usize) -> usize {
-    gradient(2, dimension)
+    gradient(2, dimension) + if dimension == 3 { 2 } else { 0 }
 }
 
 /// `fill!(moments, D, |column| value)`: sets the moments to the values of the columns. A macro, because
@@ -75,6 +75,10 @@ macro_rules! fill {
                 set!($moments.solids_flux_gradient[i][j], gradient(0, $d) + i * $d + j);
                 set!($moments.gas_flux_gradient[i][j], gradient(1, $d) + i * $d + j);
             }
+        }
+        if $d == 3 {
+            set!($moments.number_density, gradient(2, $d));
+            set!($moments.contact_density, gradient(2, $d) + 1);
         }
     }};
 }
@@ -629,6 +633,8 @@ struct RowScratch {
     padded: Vec<Vec<Vec<f64>>>,
     /// Sums of the products over the rows of a block, moment by moment.
     sums: Vec<f64>,
+    /// Zeros of a strip.
+    none: Vec<f64>,
     /// Cells of a strip, whole blocks.
     strip: usize,
 }
@@ -640,6 +646,7 @@ impl RowScratch {
         Self {
             padded: vec![vec![vec![0.0; grid.cells[0] + 2]; 1 + 2 * D]; rows],
             sums: vec![0.0; moment_count(D) * strip],
+            none: vec![0.0; strip],
             strip,
         }
     }
@@ -653,11 +660,14 @@ struct Strip<'a, const D: usize> {
     here: Row<'a, D>,
     pressure_gradient: [&'a [f64]; D],
     drag_coefficient: &'a [f64],
+    drag: [&'a [f64]; D],
     granular_temperature: &'a [f64],
     solids_pressure: &'a [f64],
     /// The components of the solids' stress; as many as three dimensions have, the last ones unused
     /// in two.
     solids_stress: [&'a [f64]; 6],
+    /// Particles, and contacts of each, per volume.
+    counts: [&'a [f64]; 2],
 }
 
 /// Fractions and velocities of a strip.
@@ -696,7 +706,7 @@ fn sum_products<const D: usize>(
     while start < end {
         let len = scratch.strip.min(end - start);
         for (number, padded) in scratch.padded.iter().enumerate() {
-            let strip = strip(fields, row_of(number), start, len, padded);
+            let strip = strip(fields, row_of(number), start, len, padded, &scratch.none);
             products(&mut scratch.sums[..moment_count(D) * len], number == 0, &strip);
         }
         let first = start / block[0];
@@ -744,6 +754,7 @@ fn strip<'a, const D: usize>(
     start: usize,
     len: usize,
     padded: &'a [Vec<f64>],
+    none: &'a [f64],
 ) -> Strip<'a, D> {
     let cells = fields.grid.cells;
     let row = |at: [usize; D]| {
@@ -789,11 +800,16 @@ fn strip<'a, const D: usize>(
         here: row(at),
         pressure_gradient: fields.pressure_gradient.each_ref().map(cut),
         drag_coefficient: cut(&fields.drag_coefficient),
+        drag: fields.drag.each_ref().map(cut),
         granular_temperature: cut(&fields.granular_temperature),
         solids_pressure: cut(&fields.solids_pressure),
         solids_stress: std::array::from_fn(|k| {
             cut(&fields.solids_stress[k.min(symmetric_components(D) - 1)])
         }),
+        counts: match &fields.counts {
+            Some(counts) => [cut(&counts.number_density), cut(&counts.contact_density)],
+            None => [&none[..len]; 2],
+        },
     }
 }
 
@@ -854,19 +870,19 @@ fn products_at<const D: usize, const WHOLE: bool>(
     let solids = load_vector!(strip.here.solids);
     let gas = load_vector!(strip.here.gas);
     let slope = load_vector!(strip.pressure_gradient);
-    let beta = load!(strip.drag_coefficient);
+    let drag = load_vector!(strip.drag);
     let pressure = load!(strip.solids_pressure);
 
     put!(0, fraction);
     put!(1, fraction * fraction);
-    put!(2, beta);
+    put!(2, load!(strip.drag_coefficient));
     put!(3, pressure);
     put!(4, fraction * load!(strip.granular_temperature));
     let zero = Lanes::of(0.0);
     let (mut drag_on_solids, mut drag_on_gas) = (zero, zero);
     let (mut pressure_on_solids, mut pressure_on_gas) = (zero, zero);
     for a in 0..D {
-        let drag = beta * (gas[a] - solids[a]);
+        let drag = drag[a];
         let solids_flux = fraction * solids[a];
         let gas_flux = gas_fraction * gas[a];
         put!(vector(0, D) + a, solids_flux);
@@ -913,6 +929,10 @@ fn products_at<const D: usize, const WHOLE: bool>(
         }
     }
     put!(5, power);
+    if D == 3 {
+        put!(gradient(2, D), load!(strip.counts[0]));
+        put!(gradient(2, D) + 1, load!(strip.counts[1]));
+    }
 }
 
 /// Random fields for the tests of this module and of the statistics.
@@ -920,6 +940,7 @@ fn products_at<const D: usize, const WHOLE: bool>(
 pub(crate) mod tests {
     use super::*;
     use crate::filtered::{Densities, TERM_COUNT, Term as T, terms};
+    use crate::fine::Counts;
     use proptest::prelude::*;
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64Mcg;
@@ -943,7 +964,12 @@ pub(crate) mod tests {
                 let slip = fields.gas_velocity[axis][i] - fields.solids_velocity[axis][i];
                 squared += slip * slip;
             }
-            fields.drag_coefficient[i] = law.beta(fields.solids_fraction[i], squared.sqrt());
+            let beta = law.beta(fields.solids_fraction[i], squared.sqrt());
+            fields.drag_coefficient[i] = beta;
+            for axis in 0..D {
+                let slip = fields.gas_velocity[axis][i] - fields.solids_velocity[axis][i];
+                fields.drag[axis][i] = beta * slip;
+            }
             for slope in &mut fields.pressure_gradient {
                 slope[i] = between(-3000.0, 3000.0);
             }
@@ -988,7 +1014,17 @@ pub(crate) mod tests {
     /// Every moment at every position against its definition.
     fn check<const D: usize>(cells: [usize; D], periodic: [bool; D], widths: &[[usize; D]]) {
         let grid = Grid::new(std::array::from_fn(|axis| 0.1 + 0.02 * axis as f64), cells);
-        let fields = FineFields { periodic, ..random_fields(grid, 7) };
+        let mut fields = FineFields { periodic, ..random_fields(grid, 7) };
+        // A drag that is not β times the slip: what is filtered is the force that is given. And particles.
+        for drag in &mut fields.drag {
+            drag.iter_mut().enumerate().for_each(|(k, drag)| *drag *= 0.9 + 0.1 * (k % 5) as f64);
+        }
+        let mut counts = Counts::zeros(grid.len());
+        for (k, phi) in fields.solids_fraction.iter().enumerate() {
+            counts.number_density[k] = 4e12 * phi;
+            counts.contact_density[k] = (k % 3) as f64 * 4e12 * phi;
+        }
+        fields.counts = Some(counts);
         let filter = filtered(&fields, widths);
         for (number, &width) in widths.iter().enumerate() {
             let positions = &filter.positions()[number];
@@ -1046,7 +1082,7 @@ pub(crate) mod tests {
                 (neighbour(n - 1) - neighbour(n - 2)) / h[axis]
             }
         };
-        let drag = |k: usize, a: usize| fields.drag_coefficient[k] * (ug[a][k] - us[a][k]);
+        let drag = |k: usize, a: usize| fields.drag[a][k];
         let slope = &fields.pressure_gradient;
         let dot = |f: &dyn Fn(usize) -> f64| (0..D).map(f).sum::<f64>();
 
@@ -1054,6 +1090,10 @@ pub(crate) mod tests {
         close(found.solids_fraction_squared, mean(&|k| phi[k] * phi[k]), 1.0);
         close(found.drag_coefficient, mean(&|k| fields.drag_coefficient[k]), 1.0);
         close(found.kinetic_pressure, mean(&|k| fields.solids_pressure[k]), 1.0);
+        if let (3, Some(counts)) = (D, &fields.counts) {
+            close(found.number_density, mean(&|k| counts.number_density[k]), 1e12);
+            close(found.contact_density, mean(&|k| counts.contact_density[k]), 1e12);
+        }
         let theta = &fields.granular_temperature;
         close(found.fraction_temperature, mean(&|k| phi[k] * theta[k]), 1.0);
         close(found.drag_on_solids, mean(&|k| dot(&|a| drag(k, a) * us[a][k])), 1e4);

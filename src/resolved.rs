@@ -12,6 +12,7 @@ pub mod numpy;
 pub mod openfoam;
 pub mod particles;
 pub mod series;
+pub mod start;
 pub mod vtk;
 pub mod write;
 pub mod xml;

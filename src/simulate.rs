@@ -1,7 +1,7 @@
 //! [`simulate`]: one box from its start to its end, sampled in flight.
 
-use crate::case::{Case, Drive, EdgesChoice, FilterCase, KernelChoice, MarkerChoice};
-use crate::cfd_dem::{self, CfdDem};
+use crate::case::{Case, Drive, EdgesChoice, FilterCase, KernelChoice, MarkerChoice, Places};
+use crate::cfd_dem::{self, CfdDem, spheres};
 use crate::dem::Sphere;
 use crate::film::Film;
 use crate::filter::FilterError;
@@ -9,6 +9,7 @@ use crate::fine::FineFields;
 use crate::grid::Grid;
 use crate::laws::scales::Scales;
 use crate::real::Real;
+use crate::resolved::start::{self, Expected};
 use crate::series::{Onset, steady_start};
 use crate::simulation::{Failure, Limit, Means, Simulation, StepReport};
 use crate::spectral::Kernel;
@@ -342,13 +343,16 @@ pub fn two_fluid<R: Real, const D: usize>(
 /// # Panics
 /// When the case has no `particles`, or is not of three dimensions.
 pub fn cfd_dem(case: &Case, solids_fraction: f64, parallel: bool) -> Result<CfdDem, SimulateError> {
-    let particles = case.particles.expect("a case that follows particles");
+    let particles = case.particles.as_ref().expect("a case that follows particles");
     let setup = cfd_dem::Setup {
         powder: case.powder,
         gas: case.gas,
         gravity: case.physics.gravity,
         drag: case.physics.drag,
+        mixture: particles.mixture,
         gas_inertia: case.physics.terms.gas_inertia,
+        gas_stress: case.physics.terms.gas_stress,
+        drive: case.physics.drive,
         solids_fraction,
         contact: particles.contact,
         steps_per_contact: particles.steps_per_contact,
@@ -358,8 +362,22 @@ pub fn cfd_dem(case: &Case, solids_fraction: f64, parallel: bool) -> Result<CfdD
         seed: case.run.seed,
         parallel,
     };
-    CfdDem::new(grid(case), setup)
-        .map_err(|source| SimulateError::Setup { solids_fraction, source: source.into() })
+    let refuse = |source| SimulateError::Setup { solids_fraction, source };
+    let grid = grid(case);
+    let spheres = match &particles.start.places {
+        Places::File(path) => {
+            let expected = Expected { size: grid.size(), powder: case.powder, solids_fraction };
+            start::read(path, &expected).map_err(|source| refuse(source.into()))?
+        }
+        _ => spheres(&grid, &setup, &particles.start).map_err(|source| refuse(source.into()))?,
+    };
+    let flow =
+        CfdDem::with_spheres(grid, setup, &spheres).map_err(|source| refuse(source.into()))?;
+    if let Places::File(path) = &particles.start.places {
+        let overlap = flow.particles().deepest_overlap();
+        start::check_overlap(path, overlap).map_err(|source| refuse(source.into()))?;
+    }
+    Ok(flow)
 }
 
 /// The grid of a case's boxes.

@@ -48,6 +48,23 @@ pub trait Simulation<const D: usize> {
     fn restore_state(&mut self, from: &mut dyn Read) -> Result<(), Failure>;
 }
 
+/// Growth of the time step from one step to the next.
+pub const GROWTH: f64 = 1.25;
+
+/// First time step, and the longest ever, in u_t/g.
+pub const FIRST_STEP: f64 = 1e-3;
+/// See [`FIRST_STEP`].
+pub const LONGEST_STEP: f64 = 0.05;
+
+/// Largest viscosity and conductivity per mass, times dt and Σ 1/h², at which an explicit step is
+/// stable and loses kinetic energy. Limits the step, and in nearly empty cells of the two-fluid model, whose
+/// mean free path would stop every step, the diffusivities themselves.
+pub const DIFFUSION: f64 = 0.36;
+
+/// Remaining divergence of the volume flux, times dt, above which the pressure counts as not converged:
+/// round-off stops single precision above the tolerance asked for, which is no failure.
+pub const UNSOLVED: f64 = 0.1;
+
 /// What limited a time step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]

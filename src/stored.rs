@@ -7,7 +7,7 @@
 //! quantities have no rows, the others are what they are.
 
 use crate::filter::FilterError;
-use crate::fine::{FineFields, symmetric_components};
+use crate::fine::{Counts, FineFields, symmetric_components};
 use crate::grid::Grid;
 use crate::laws::drag::DragLaw;
 use crate::laws::scales::Scales;
@@ -38,6 +38,12 @@ pub struct StoredFields {
     /// β of the fine-grid drag law: force on the solids = β (u_g - u_s) \[kg/m³/s\]; if it is not
     /// known, that of the law that the sampler is given.
     pub drag_coefficient: Option<Vec<f64>>,
+    /// Drag on the solids per volume \[Pa/m\], one array per axis; if it is not known, β times the slip.
+    pub drag: Option<Vec<Vec<f64>>>,
+    /// Particles per volume \[1/m³\].
+    pub number_density: Option<Vec<f64>>,
+    /// Contacts of particles per volume \[1/m³\].
+    pub contact_density: Option<Vec<f64>>,
     /// Granular temperature Θ \[m²/s²\].
     pub granular_temperature: Option<Vec<f64>>,
     /// Isotropic kinetic-theory stress of the solids \[Pa\], compression positive.
@@ -141,6 +147,9 @@ impl StoredFields {
             gas_velocity: vector,
             pressure: None,
             drag_coefficient: None,
+            drag: None,
+            number_density: None,
+            contact_density: None,
             granular_temperature: None,
             solids_pressure: None,
             solids_stress: None,
@@ -160,6 +169,9 @@ impl StoredFields {
             gas_velocity: fine.gas_velocity.to_vec(),
             pressure: Some(Pressure::Gradient(fine.pressure_gradient.to_vec())),
             drag_coefficient: Some(fine.drag_coefficient.clone()),
+            drag: Some(fine.drag.to_vec()),
+            number_density: fine.counts.as_ref().map(|counts| counts.number_density.clone()),
+            contact_density: fine.counts.as_ref().map(|counts| counts.contact_density.clone()),
             granular_temperature: Some(fine.granular_temperature.clone()),
             solids_pressure: Some(fine.solids_pressure.clone()),
             solids_stress: Some(fine.solids_stress.clone()),
@@ -204,8 +216,13 @@ impl StoredFields {
             ("drag_coefficient", &self.drag_coefficient),
             ("granular_temperature", &self.granular_temperature),
             ("solids_pressure", &self.solids_pressure),
+            ("number_density", &self.number_density),
+            ("contact_density", &self.contact_density),
         ] {
             values.as_ref().map_or(Ok(()), |values| self.check_array(array, values))?;
+        }
+        if let Some(drag) = &self.drag {
+            self.check_arrays("drag", drag, axes)?;
         }
         let stress = self.solids_stress.as_ref();
         stress.map_or(Ok(()), |stress| {
@@ -275,6 +292,14 @@ impl StoredFields {
             (vector(&self.solids_velocity), vector(&self.gas_velocity));
         let given = |array: &Option<Vec<f64>>| array.clone().unwrap_or_else(missing);
         let periodic = std::array::from_fn(|axis| self.periodic[axis]);
+        let beta = match &self.drag_coefficient {
+            Some(given) => given.clone(),
+            None => coefficients(law, &self.solids_fraction, &solids, &gas),
+        };
+        let by_slip = |axis: usize| {
+            let slips = solids[axis].iter().zip(&gas[axis]);
+            beta.iter().zip(slips).map(|(beta, (us, ug))| beta * (ug - us)).collect()
+        };
         Ok(FineFields {
             grid,
             periodic,
@@ -286,9 +311,17 @@ impl StoredFields {
                 }
                 None => std::array::from_fn(|_| missing()),
             },
-            drag_coefficient: match &self.drag_coefficient {
-                Some(given) => given.clone(),
-                None => drag(law, &self.solids_fraction, &solids, &gas),
+            drag: match &self.drag {
+                Some(given) => vector(given),
+                None => std::array::from_fn(by_slip),
+            },
+            drag_coefficient: beta,
+            counts: match (&self.number_density, &self.contact_density) {
+                (Some(number), Some(contacts)) => Some(Counts {
+                    number_density: number.clone(),
+                    contact_density: contacts.clone(),
+                }),
+                _ => None,
             },
             solids_fraction: self.solids_fraction.clone(),
             solids_velocity: solids,
@@ -304,7 +337,7 @@ impl StoredFields {
 }
 
 /// β of `law` in each cell \[kg/m³/s\].
-fn drag<const D: usize>(
+fn coefficients<const D: usize>(
     law: &dyn DragLaw<f64>,
     fraction: &[f64],
     solids: &[Vec<f64>; D],
@@ -516,9 +549,11 @@ mod tests {
             let fields = StoredFields {
                 pressure: None,
                 drag_coefficient: None,
+                drag: None,
                 granular_temperature: None,
                 solids_pressure: None,
                 solids_stress: None,
+                number_density: None,
                 ..fields
             };
             bare.sample(&fields).unwrap();

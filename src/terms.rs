@@ -1,6 +1,6 @@
 //! [`terms`]: which terms of the equations a case models, and why.
 
-use crate::case::{Case, FrictionChoice, GranularEnergyChoice, with_friction};
+use crate::case::{Case, Diameters, FrictionChoice, GranularEnergyChoice, Places, with_friction};
 use crate::laws::friction::Friction;
 use serde::Serialize;
 use std::fmt;
@@ -67,7 +67,29 @@ pub fn terms(case: &Case) -> Vec<Term> {
             on: friction > 0.0,
             why: format!("the coefficient is {friction}"),
         };
-        return [contacts].into_iter().chain(of_the_gas).collect();
+        let bond = particles.bond_number;
+        let pull = Term {
+            name: "cohesion of particles",
+            on: bond > 0.0,
+            why: format!("the force that parts two is {bond} times the weight of one"),
+        };
+        let sizes = Term {
+            name: "several diameters",
+            on: particles.start.diameters != Diameters::Equal,
+            why: match &particles.start.diameters {
+                Diameters::Equal => match &particles.start.places {
+                    Places::File(path) => format!("they are those of {}", path.display()),
+                    _ => "all are the powder's".to_owned(),
+                },
+                Diameters::Shares(classes) => {
+                    format!("{} with shares of the volume, Sauter mean d", classes.len())
+                }
+                Diameters::LogNormal(deviation) => {
+                    format!("log-normal, geometric standard deviation {deviation}, Sauter mean d")
+                }
+            },
+        };
+        return [contacts, pull, sizes].into_iter().chain(of_the_gas).collect();
     }
     let of_the_solids = [
         Term {
@@ -154,5 +176,28 @@ mod tests {
         assert!(line(&other, "frictional viscosity").ends_with("φ = 0.500, and ⟨φ⟩ = 0.55 does"));
         let none = of(&[("friction = \"barrier\"", "friction = \"none\"")]);
         assert!(line(&none, "frictional pressure").starts_with("frictional pressure off: no "));
+    }
+
+    #[test]
+    fn particles_have_terms_of_their_own() {
+        let text = include_str!("../examples/cfd-dem.toml");
+        let of = |from: &str, to: &str| {
+            assert!(text.contains(from), "{from}");
+            terms(&Case::parse(&text.replacen(from, to, 1), "test").unwrap())
+        };
+        let usual = of("cohesion = 0 ", "cohesion = 0 ");
+        assert!(line(&usual, "cohesion of particles").contains("off: "));
+        assert!(line(&usual, "several diameters").contains("off: all are the powder's"));
+        let sticky = of("cohesion = 0 ", "cohesion = 20 ");
+        assert!(
+            line(&sticky, "cohesion of particles").contains("on: the force that parts two is 20 ")
+        );
+        let mixed = of("cohesion = 0 ", "diameters = { geometric_deviation = 1.2 }\ncohesion = 0 ");
+        assert!(
+            line(&mixed, "several diameters")
+                .contains("on: log-normal, geometric standard deviation 1.2")
+        );
+        let stressed = of("gas_stress = false", "gas_stress = true");
+        assert!(line(&stressed, "gas stress").contains("on: "));
     }
 }

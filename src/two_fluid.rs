@@ -38,6 +38,7 @@ use crate::case::{
     DragChoice, FrictionChoice, GranularEnergyChoice, RadialDistributionChoice, Terms, with_drag,
     with_friction, with_radial_distribution,
 };
+use crate::drive::{GasFlux, uniform_velocities};
 use crate::field::{Faces, Field, Layout};
 use crate::fine::FineFields;
 use crate::grid::Grid;
@@ -46,11 +47,12 @@ use crate::laws::scales::{Gas, Powder, Scales, homogeneous_slip};
 use crate::poisson::Poisson;
 use crate::real::Real;
 use crate::rows::{Rows, join, per_axis, threads};
-use crate::simulation::{Failure, Simulation};
+use crate::simulation::{
+    DIFFUSION, FIRST_STEP, Failure, GROWTH, LONGEST_STEP, Simulation, UNSOLVED,
+};
 pub use crate::simulation::{Limit, Means, StepReport};
 pub use clock::STAGES;
 use clock::{Clock, Stage};
-use drive::GasFlux;
 use exchange::Inertia;
 use extrapolate::Extrapolation;
 pub use failure::{Place, StepError};
@@ -88,11 +90,6 @@ const SOUND_COURANT: f64 = 0.9;
 const PACKED: f64 = 0.01;
 const LEAST_ROOM: f64 = 0.001;
 
-/// Largest viscosity and conductivity per mass, times dt and Σ 1/h², at which an explicit step is
-/// stable and loses kinetic energy. Limits the step, and in nearly empty cells, whose mean free path
-/// would stop every step, the diffusivities themselves.
-const DIFFUSION: f64 = 0.36;
-
 /// That of a step by the diffusivities of the uniform state: a wave on a uniform bed is what is left
 /// of drag, inertia and viscous stress that all but cancel, so that it grows by 1.5 % too little if a
 /// step is as long as is stable, by 0.8 % with these. Clustered beds have other limits.
@@ -101,22 +98,13 @@ const SMOOTH: f64 = 0.2;
 /// Share of the mean solids fraction below which a cell is nearly empty.
 const NEARLY_EMPTY: f64 = 0.5;
 
-/// Growth of the time step from one step to the next.
-const GROWTH: f64 = 1.25;
-
-/// First time step, the largest ever, and the one below which a run would not end, in u_t/g.
-const FIRST_STEP: f64 = 1e-3;
-const LONGEST_STEP: f64 = 0.05;
+/// Time step below which a run would not end, in u_t/g.
 const SHORTEST_STEP: f64 = 1e-6;
 
 /// Remaining divergence of the total volume flux, times dt, that ends the pressure iteration. The next
 /// step's increment makes up for it. At 3e-3 and 1e-2 slip and variance of three seeds agree with these
 /// within their errors, for 5 and 11 % of the time, but a mean gas flux is kept less well.
 pub const TOLERANCE: f64 = 1e-3;
-
-/// That above which the pressure counts as not converged: round-off stops single precision above
-/// [`TOLERANCE`], which is no failure.
-const UNSOLVED: f64 = 0.1;
 
 /// Fewest slabs of a part of the box that a thread of its own makes.
 const LEAST_SLABS: usize = 16;
@@ -282,8 +270,9 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         theta.set(|_| R::of(temperature));
         let mut solids = Field::zero_faces(layout);
         let mut carrier = Field::zero_faces(layout);
-        solids[D - 1].set(|_| R::of(-gas.density * (1.0 - mean) * slip / mixture));
-        carrier[D - 1].set(|_| R::of(powder.density * mean * slip / mixture));
+        let [falling, rising] = uniform_velocities(&powder, &gas, mean, slip);
+        solids[D - 1].set(|_| R::of(falling));
+        carrier[D - 1].set(|_| R::of(rising));
 
         let scales = setup.scales();
         let time_scale = scales.time();

@@ -3,7 +3,10 @@
 mod common;
 
 use common::{GAS, POWDER};
-use favre::case::{DragChoice, FrictionChoice, MappingChoice, RadialDistributionChoice, Terms};
+use favre::case::{
+    DragChoice, Drive, FrictionChoice, MappingChoice, MixtureChoice, RadialDistributionChoice,
+    Terms,
+};
 use favre::cfd_dem::{self, CfdDem};
 use favre::dem::{Dem, SKIN, Setup, lattice, packed, thermal};
 use favre::grid::Grid;
@@ -67,6 +70,7 @@ fn allocations_of_spheres() -> usize {
         tangential_stiffness: 2.0 / 7.0,
         tangential_damping: 0.5,
         friction: 0.3,
+        cohesion: 0.0,
     };
     let size = [1.2e-3; 3];
     let mut spheres = packed(size, &[75e-6; 2500], 1500.0, 1, false).unwrap();
@@ -87,7 +91,10 @@ fn allocations_of_spheres_in_gas() -> usize {
         gas: GAS,
         gravity: 9.81,
         drag: DragChoice::WenYu,
+        mixture: MixtureChoice::OwnDiameter,
         gas_inertia: true,
+        gas_stress: true,
+        drive: Drive::GasFlux(None),
         solids_fraction: 0.1,
         contact: Contact {
             stiffness: 3.0,
@@ -95,6 +102,7 @@ fn allocations_of_spheres_in_gas() -> usize {
             tangential_stiffness: 2.0 / 7.0,
             tangential_damping: 0.5,
             friction: 0.3,
+            cohesion: 0.0,
         },
         steps_per_contact: 25.0,
         mapping: MappingChoice::Divided,

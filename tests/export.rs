@@ -2,6 +2,9 @@
 //!
 //! Without a compiler, OpenFOAM or its sources (`.ci/run` fetches them) a test says that it is skipped.
 
+mod common;
+
+use common::python;
 use favre::closure::{BUILT_IN, Closure, Quantity};
 use favre::export::{Target, export, write};
 use favre::expression::Function;
@@ -627,14 +630,7 @@ fn settles(name: &str, closure: &Closure, material: &Material, dir: &Path) {
 
 #[test]
 fn tables_are_read_by_numpy_and_vtk() {
-    let python = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/venv/bin/python");
-    let python = if python.is_file() { python } else { PathBuf::from("python3") };
-    let mut imports = Command::new(&python);
-    imports.args(["-c", "import numpy, vtk"]).stderr(Stdio::null());
-    if !imports.status().is_ok_and(|status| status.success()) {
-        eprintln!("skipped: no Python with numpy and vtk; `pip install numpy vtk` in target/venv");
-        return;
-    }
+    let Some(python) = python("numpy, vtk") else { return };
     let closure = Closure::find("sarkar-2016").unwrap();
     let dir = tempfile::tempdir().unwrap();
     let dir = exported(&closure, Target::Table, dir.path());

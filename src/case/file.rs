@@ -15,7 +15,7 @@ use toml::de::{DeString, DeTable, DeValue};
 
 use super::{
     DragChoice, DriveChoice, EDGE_KEYS, EdgesChoice, FieldsChoice, FrictionChoice,
-    GranularEnergyChoice, KernelChoice, MappingChoice, MarkerChoice, Precision,
+    GranularEnergyChoice, KernelChoice, MappingChoice, MarkerChoice, MixtureChoice, Precision,
     RadialDistributionChoice, SolverChoice,
 };
 use crate::laws::scales::{REFERENCE_LENGTHS, Scales};
@@ -51,6 +51,10 @@ pub(super) const SECTIONS: [(&str, &[&str]); 8] = [
             "steps_per_contact",
             "mapping",
             "smoothing",
+            "start",
+            "diameters",
+            "mixture_drag",
+            "cohesion",
         ],
     ),
     (
@@ -396,6 +400,19 @@ pub(super) struct ParticlesFile {
     pub steps_per_contact: Option<Typed<f64>>,
     pub mapping: Option<Typed<MappingChoice>>,
     pub smoothing: Option<Typed<Quantity>>,
+    pub start: Option<Typed<String>>,
+    pub diameters: Option<Typed<DiametersTyped>>,
+    pub mixture_drag: Option<Typed<MixtureChoice>>,
+    pub cohesion: Option<Typed<f64>>,
+}
+
+/// Diameters as typed.
+#[derive(Clone, Debug)]
+pub(super) enum DiametersTyped {
+    /// Diameters and shares of the volume.
+    Shares(Vec<(Quantity, f64)>),
+    /// A geometric standard deviation.
+    LogNormal(f64),
 }
 
 #[derive(Debug)]
@@ -528,6 +545,10 @@ pub(super) fn read(text: &str, problems: &mut Problems<'_>) -> Option<CaseFile> 
             steps_per_contact: section.optional("steps_per_contact", number),
             mapping: section.optional("mapping", choice),
             smoothing: section.optional("smoothing", |value| quantity(value, Kind::Length)),
+            start: section.optional("start", words),
+            diameters: section.optional("diameters", diameters),
+            mixture_drag: section.optional("mixture_drag", choice),
+            cohesion: section.optional("cohesion", number),
         }
     };
     let filter = {
@@ -811,6 +832,54 @@ fn quantity(value: &Value<'_>, kind: Kind) -> Read<Quantity> {
         DeValue::String(text) => Quantity::parse(text, kind),
         DeValue::Float(_) | DeValue::Integer(_) => number(value).map(Quantity::from_si),
         _ => Err(kind.expected()),
+    }
+}
+
+/// Text.
+fn words(value: &Value<'_>) -> Read<String> {
+    match value.get_ref() {
+        DeValue::String(text) => Ok(text.as_ref().to_owned()),
+        other => Err(format!("text in quotes is expected, not {}", name_of(other))),
+    }
+}
+
+/// Diameters with their shares, or the deviation of a distribution.
+fn diameters(value: &Value<'_>) -> Read<DiametersTyped> {
+    const EXPECTED: &str = "a list is expected, such as [{ diameter = \"60 um\", share = 0.3 }, \
+                            { diameter = \"90 um\", share = 0.7 }], shares by volume, or \
+                            { geometric_deviation = 1.2 }";
+    match value.get_ref() {
+        DeValue::Table(table) => {
+            let entry = |key: &str| table.get(key);
+            match entry("geometric_deviation") {
+                Some(deviation) if table.len() == 1 => number(deviation)
+                    .map(DiametersTyped::LogNormal)
+                    .map_err(|why| format!("geometric_deviation: {why}")),
+                _ => Err(EXPECTED.to_owned()),
+            }
+        }
+        DeValue::Array(entries) if !entries.is_empty() => {
+            let class = |(n, entry): (usize, &Value<'_>)| {
+                let at = |why: String| format!("entry {}: {why}", n + 1);
+                let DeValue::Table(table) = entry.get_ref() else {
+                    return Err(at(EXPECTED.to_owned()));
+                };
+                if table.keys().any(|key| !["diameter", "share"].contains(&key.get_ref().as_ref()))
+                {
+                    return Err(at("it holds diameter and share, nothing else".to_owned()));
+                }
+                let (Some(diameter), Some(share)) = (table.get("diameter"), table.get("share"))
+                else {
+                    return Err(at("diameter and share are needed".to_owned()));
+                };
+                let diameter = quantity(diameter, Kind::Length)
+                    .map_err(|why| at(format!("diameter: {why}")))?;
+                let share = number(share).map_err(|why| at(format!("share: {why}")))?;
+                Ok((diameter, share))
+            };
+            entries.iter().enumerate().map(class).collect::<Read<_>>().map(DiametersTyped::Shares)
+        }
+        _ => Err(EXPECTED.to_owned()),
     }
 }
 

@@ -4,16 +4,19 @@
 //! which is then among the problems; the others go on, so that all problems are found at once.
 
 use std::ops::RangeInclusive;
+use std::path::{Path, absolute};
 
 use super::file::{
-    CaseFile, DomainFile, FilterFile, OutputFile, Problems, Quantity, RunFile, Typed, Unit,
+    CaseFile, DiametersTyped, DomainFile, FilterFile, OutputFile, ParticlesFile, Problems,
+    Quantity, RunFile, Typed, Unit, nearest,
 };
 use super::{
-    Case, Domain, DragChoice, Drive, DriveChoice, EdgesChoice, FieldsChoice, FilterCase,
-    FrictionChoice, KernelChoice, MappingChoice, MarkerChoice, OutputCase, ParticlesCase, Physics,
-    Precision, RadialDistributionChoice, RunCase, SolverChoice, Terms, quoted,
+    Case, Diameters, Domain, DragChoice, Drive, DriveChoice, EdgesChoice, FieldsChoice, FilterCase,
+    FrictionChoice, KernelChoice, MappingChoice, MarkerChoice, MixtureChoice, OutputCase,
+    ParticlesCase, ParticlesStart, Physics, Places, Precision, RadialDistributionChoice, RunCase,
+    SolverChoice, Terms, quoted,
 };
-use crate::laws::contact::{Contact, stiffness_for};
+use crate::laws::contact::{Contact, cohesion_of, pull, stiffness_for};
 use crate::laws::scales::{Gas, Powder, Scales};
 use std::f64::consts::PI;
 
@@ -59,11 +62,13 @@ fn accept(
 }
 
 /// Turns what was typed into a case; none if anything is missing or wrong, which is then among the
-/// problems. A domain that is `given` takes the place of the one that was typed, unchecked.
+/// problems. A domain that is `given` takes the place of the one that was typed, unchecked. Files are
+/// sought in `folder`.
 pub(super) fn resolve(
     file: &CaseFile,
     name: &str,
     given: Option<Domain>,
+    folder: &Path,
     problems: &mut Problems<'_>,
 ) -> Option<Case> {
     let powder = resolve_powder(file, problems);
@@ -118,7 +123,8 @@ pub(super) fn resolve(
         }
         (SolverChoice::CfdDem, Some(powder)) => {
             refuse_continuum(file, problems);
-            Some(resolve_particles(file, powder, domain.as_ref(), scales.as_ref(), problems)?)
+            let (domain, scales) = (domain.as_ref(), scales.as_ref());
+            Some(resolve_particles(file, powder, domain, scales, folder, problems)?)
         }
         (SolverChoice::CfdDem, None) => None,
     };
@@ -168,46 +174,157 @@ fn refuse_continuum(file: &CaseFile, problems: &mut Problems<'_>) {
         physics.radial_distribution,
         physics.friction,
         physics.granular_energy,
-        physics.gas_stress,
-        physics.gas_flux,
         run.perturbation,
         run.precision,
         run.time_order
     );
-    if let Some(typed) = &physics.drive
-        && typed.value != DriveChoice::PressureGradient
-    {
-        problems.refuse(typed, "with solver = \"cfd-dem\" only \"pressure-gradient\" is accepted");
-    }
 }
 
 /// Overlap of two particles that meet at u_t, in d, that sets the stiffness of a case that says none.
 const OVERLAP: f64 = 0.01;
 
-/// Shortest edge of a cell that particles are shared among, in d.
+/// Shortest edge of a cell that particles are shared among, in diameters of the largest.
 const SHORTEST_CELL: f64 = 1.5;
+
+/// How far the Sauter mean of the diameters may be from the powder's diameter, relatively.
+pub(super) const SAUTER: f64 = 0.01;
+
+/// Deepest overlap, in d, at which particles that cohere may rest on each other.
+const DEEPEST_REST: f64 = 0.02;
+
+/// Where the particles start.
+fn resolve_places(
+    typed: &Typed<String>,
+    folder: &Path,
+    problems: &mut Problems<'_>,
+) -> Option<Places> {
+    let name = typed.value.as_str();
+    match name {
+        "random" => Some(Places::Random),
+        "lattice" => Some(Places::Lattice),
+        _ if name.ends_with(".csv") => {
+            // Wherever the case is read from next, it is the same file.
+            let path = folder.join(name);
+            Some(Places::File(absolute(&path).unwrap_or(path)))
+        }
+        _ => {
+            let hint = nearest(name, ["random", "lattice"])
+                .map_or(String::new(), |near| format!("did you mean \"{near}\"? "));
+            problems.refuse(
+                typed,
+                format!("{hint}\"random\", \"lattice\" or the name of a table (.csv) is accepted"),
+            );
+            None
+        }
+    }
+}
+
+/// The diameters, of which the powder's is the Sauter mean.
+fn resolve_diameters(
+    typed: &Typed<DiametersTyped>,
+    powder: &Powder,
+    scales: Option<&Scales>,
+    problems: &mut Problems<'_>,
+) -> Option<Diameters> {
+    match &typed.value {
+        DiametersTyped::LogNormal(deviation) => {
+            if !(1.001..=1.5).contains(deviation) {
+                problems.refuse(typed, "a geometric_deviation from 1.001 to 1.5 is accepted");
+                return None;
+            }
+            Some(Diameters::LogNormal(*deviation))
+        }
+        DiametersTyped::Shares(typed_classes) => {
+            let classes: Option<Vec<(f64, f64)>> = typed_classes
+                .iter()
+                .map(|(diameter, share)| Some((diameter.si(scales)?, *share)))
+                .collect();
+            let classes = classes?;
+            let whole: f64 = classes.iter().map(|(_, share)| share).sum();
+            let sauter = 1.0 / classes.iter().map(|(d, share)| share / d).sum::<f64>();
+            let extreme = |of: fn(f64, f64) -> f64, from: f64| {
+                classes.iter().fold(from, |extreme, (d, _)| of(extreme, *d))
+            };
+            let ratio = extreme(f64::max, 0.0) / extreme(f64::min, f64::INFINITY);
+            let why = if classes.iter().any(|(d, share)| !(1e-7..=0.1).contains(d) || *share <= 0.0)
+            {
+                "diameters from 1e-7 m to 0.1 m and shares above 0 are accepted".to_owned()
+            } else if (whole - 1.0).abs() > WHOLE {
+                format!("the shares add up to {}, and 1 is accepted", significant(whole))
+            } else if ratio > 10.0 {
+                format!("the largest is {ratio:.1} times the smallest, and up to 10 is accepted")
+            } else if (sauter / powder.diameter - 1.0).abs() > SAUTER {
+                format!(
+                    "their Sauter mean diameter is {} m: that is accepted as diameter in [powder], by which \
+                     scales and closures go, within 1 %",
+                    significant(sauter)
+                )
+            } else {
+                return Some(Diameters::Shares(classes));
+            };
+            problems.refuse(typed, why);
+            None
+        }
+    }
+}
+
+/// Places and diameters.
+fn resolve_start(
+    typed: &ParticlesFile,
+    powder: &Powder,
+    scales: Option<&Scales>,
+    folder: &Path,
+    problems: &mut Problems<'_>,
+) -> Option<ParticlesStart> {
+    let places = match &typed.start {
+        None => Some(Places::Random),
+        Some(typed) => resolve_places(typed, folder, problems),
+    };
+    let diameters = match &typed.diameters {
+        None => Some(Diameters::Equal),
+        Some(typed) => resolve_diameters(typed, powder, scales, problems),
+    };
+    if let (Some(Places::File(_)), Some(typed)) = (&places, &typed.diameters) {
+        problems.refuse(typed, "the file of start lists the diameters: keep one of the two");
+        return None;
+    }
+    Some(ParticlesStart { places: places?, diameters: diameters? })
+}
 
 fn resolve_particles(
     file: &CaseFile,
     powder: &Powder,
     domain: Option<&(Vec<f64>, Vec<usize>)>,
     scales: Option<&Scales>,
+    folder: &Path,
     problems: &mut Problems<'_>,
 ) -> Option<ParticlesCase> {
     let typed = &file.particles;
+    let start = resolve_start(typed, powder, scales, folder, problems);
+    if let (Some(Places::File(_)), Some(fractions)) =
+        (start.as_ref().map(|start| &start.places), &file.domain.solids_fraction)
+        && fractions.value.len() > 1
+    {
+        problems
+            .refuse(fractions, "one number is accepted where a file lists the particles of a box");
+    }
+    let largest = match start.as_ref().map(|start| &start.diameters) {
+        Some(Diameters::Shares(classes)) => classes.iter().fold(0.0, |most, (d, _)| d.max(most)),
+        _ => powder.diameter,
+    };
     if let (Some((size, cells)), Some(solver)) = (domain, &file.physics.solver) {
         if size.len() != 3 {
             problems.refuse(solver, "particles are spheres: a box of three edges is needed");
         }
         let shortest =
             size.iter().zip(cells).map(|(size, n)| size / *n as f64).fold(f64::INFINITY, f64::min);
-        if shortest < SHORTEST_CELL * powder.diameter {
+        if shortest < SHORTEST_CELL * largest {
             problems.refuse(
                 solver,
                 format!(
                     "a cell has an edge of {shortest:.3e} m: the gas around particles of {:.3e} m is \
                      resolved by cells of {SHORTEST_CELL} d at least",
-                    powder.diameter
+                    largest
                 ),
             );
         }
@@ -226,6 +343,8 @@ fn resolve_particles(
     let tangential_damping = within(&typed.tangential_damping, [0.0, 1.0], 0.5);
     let friction = within(&typed.friction_coefficient, [0.0, 10.0], 0.3);
     let steps_per_contact = within(&typed.steps_per_contact, [20.0, 1000.0], 25.0);
+    let bond_number = within(&typed.cohesion, [0.0, 1e6], 0.0);
+    let mass = PI / 6.0 * powder.density * powder.diameter.powi(3);
     let stiffness = match (&typed.stiffness, &typed.overlap) {
         (Some(stiffness), Some(_)) => {
             problems.refuse(stiffness, "overlap is given as well: keep one of the two");
@@ -238,7 +357,6 @@ fn resolve_particles(
             problems,
         ),
         (None, _) => scales.zip(overlap).map(|(scales, overlap)| {
-            let mass = PI / 6.0 * powder.density * powder.diameter.powi(3);
             stiffness_for(
                 overlap * powder.diameter,
                 powder.restitution,
@@ -247,6 +365,26 @@ fn resolve_particles(
             )
         }),
     };
+    let cohesion = match (bond_number, scales) {
+        (Some(bond), Some(scales)) => {
+            Some(cohesion_of(bond, powder.diameter, mass, scales.gravity))
+        }
+        _ => None,
+    };
+    if let (Some(cohesion), Some(stiffness), Some(typed)) = (cohesion, stiffness, &typed.cohesion) {
+        let force = pull(cohesion, [0.5 * powder.diameter; 2]);
+        if force > DEEPEST_REST * stiffness * powder.diameter {
+            problems.refuse(
+                typed,
+                format!(
+                    "two particles would rest on each other {:.3} d deep, and up to {DEEPEST_REST} d is \
+                     accepted: give stiffness = {} or more",
+                    force / (stiffness * powder.diameter),
+                    significant(force / (DEEPEST_REST * powder.diameter))
+                ),
+            );
+        }
+    }
     let smoothing = match &typed.smoothing {
         None => Some(0.0),
         Some(typed) => {
@@ -272,10 +410,17 @@ fn resolve_particles(
             tangential_stiffness: tangential_stiffness?,
             tangential_damping: tangential_damping?,
             friction: friction?,
+            cohesion: cohesion?,
         },
         steps_per_contact: steps_per_contact?,
         mapping: typed.mapping.as_ref().map_or(MappingChoice::Trilinear, |typed| typed.value),
         smoothing: smoothing?,
+        start: start?,
+        mixture: typed
+            .mixture_drag
+            .as_ref()
+            .map_or(MixtureChoice::OwnDiameter, |typed| typed.value),
+        bond_number: bond_number?,
     })
 }
 

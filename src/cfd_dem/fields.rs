@@ -1,7 +1,7 @@
 //! What the filter sees of particles in a gas: fields at cell centres.
 
 use super::CfdDem;
-use crate::fine::{FineFields, symmetric_index};
+use crate::fine::{Counts, FineFields, symmetric_index};
 
 /// Pairs of axes in the order of [`symmetric_index`].
 const PAIRS: [[usize; 2]; 6] = [[0, 0], [0, 1], [1, 1], [0, 2], [1, 2], [2, 2]];
@@ -9,10 +9,11 @@ const PAIRS: [[usize; 2]; 6] = [[0, 0], [0, 1], [1, 1], [0, 2], [1, 2], [2, 2]];
 impl CfdDem {
     /// Leaves the resolved fields of this instant in `fine`, at cell centres.
     ///
-    /// φ, φ u_s and β are the particles' volumes, volumes times velocities and volumes times λ ρ_s, shared among
-    /// cells as in a step; where there are no particles, u_s is the gas's velocity. Θ and the kinetic
-    /// part of the stress are those of the velocities about u_s of their cell; the stress of contacts,
-    /// Σ F ⊗ r/V of the last contact step, is shared from where particles touch.
+    /// φ, φ u_s, β and drag are the particles' volumes, volumes times velocities, volumes times λ ρ_s, and
+    /// these times their slips, shared among cells as in a step; where there are no particles, u_s is the gas's
+    /// velocity. Θ and the kinetic part of the stress are those of the velocities about u_s of their cell,
+    /// by mass; the stress of contacts, Σ F ⊗ r/V of the last contact step, is shared from where
+    /// particles touch. A contact counts at either particle's place.
     ///
     /// # Panics
     /// When `fine` is of another grid.
@@ -32,7 +33,8 @@ impl CfdDem {
             }
         }
 
-        let mut moved = vec![[0.0; 5]; cells];
+        let mut moved = vec![[0.0; 8]; cells];
+        let mut counted = vec![[0.0; 2]; cells];
         let mut squares = vec![[0.0; 6]; cells];
         let mut seen = vec![[0.0; 1]; cells];
         let inside = self.phi[0].interior().flatten();
@@ -46,8 +48,13 @@ impl CfdDem {
             let [phi] = shares.see(&seen);
             let [x, y, z] = velocity.vector();
             let speed = ((ux - x).powi(2) + (uy - y).powi(2) + (uz - z).powi(2)).sqrt();
-            let beta = share * self.law.beta_per_fraction(phi, speed);
-            shares.give(&mut moved, [share, share * x, share * y, share * z, beta]);
+            let ratio = self.ratio(position);
+            let share = share * ratio.powi(3);
+            let beta = share * self.drag_on.of_sphere(phi, speed, ratio);
+            let drag = [ux - x, uy - y, uz - z].map(|slip| beta * slip);
+            let [fx, fy, fz] = drag;
+            shares.give(&mut moved, [share, share * x, share * y, share * z, beta, fx, fy, fz]);
+            shares.give(&mut counted, [inverse_volume, 0.0]);
             let square = PAIRS.map(|[a, b]| share * velocity.0[a] * velocity.0[b]);
             shares.give(&mut squares, square);
         }
@@ -61,11 +68,19 @@ impl CfdDem {
                     * (touch.force[a] * touch.arm[b] + touch.force[b] * touch.arm[a])
             });
             mapping.shares(touch.place).give(&mut contacts, stress);
+            for centre in touch.centres() {
+                mapping.shares(centre).give(&mut counted, [0.0, inverse_volume]);
+            }
         }
         mapping.smooth(&mut contacts);
+        mapping.smooth(&mut counted);
+        let counts = fine.counts.get_or_insert_with(|| Counts::zeros(cells));
+        for (cell, [number, contacts]) in counted.into_iter().enumerate() {
+            (counts.number_density[cell], counts.contact_density[cell]) = (number, contacts);
+        }
 
         for cell in 0..cells {
-            let [phi, x, y, z, beta] = moved[cell];
+            let [phi, x, y, z, beta, drag @ ..] = moved[cell];
             let filled = phi > 1e-9;
             let u: [f64; 3] = if filled {
                 [x / phi, y / phi, z / phi]
@@ -76,6 +91,9 @@ impl CfdDem {
                 fine.solids_velocity[axis][cell] = u[axis];
             }
             fine.drag_coefficient[cell] = beta;
+            for axis in 0..3 {
+                fine.drag[axis][cell] = drag[axis];
+            }
             let kinetic: [f64; 6] = std::array::from_fn(|n| {
                 let [a, b] = PAIRS[n];
                 if filled { density * (squares[cell][n] - phi * u[a] * u[b]) } else { 0.0 }

@@ -1,13 +1,94 @@
-//! The gas: transport of its momentum, forces, projection.
+//! The gas: transport of its momentum, molecular stress, forces, projection.
 
+use super::mapping::Mapping;
 use super::{CfdDem, MOST_ITERATIONS, TOLERANCE};
-use crate::field::Field;
+use crate::field::{Faces, Field, Layout};
+use crate::grid::Grid;
+use crate::rows::Rows;
 use crate::stencil::upwind;
+use crate::viscous::{divergence_row, normal_row, pair, pairs, shear_lines, shear_row};
 
 /// Half the sum of two rows, number by number.
 #[inline(always)]
 fn mean(a: &[f64], b: &[f64], i: usize) -> f64 {
     0.5 * (a[i] + b[i])
+}
+
+/// The gas's molecular stress, 2 μ_g S with S deviatoric.
+pub(super) struct Viscous {
+    cells: usize,
+    inverse: [f64; 3],
+    /// At centres, along each axis.
+    normal: Faces<f64, 3>,
+    /// On edges, by the place of their pair of axes.
+    shear: [Field<f64, 3>; 3],
+    /// ∇·τ on faces \[Pa/m\].
+    push: Faces<f64, 3>,
+    /// A row of μ_g \[Pa·s\] and one of zeros.
+    viscosities: [Vec<f64>; 2],
+    /// ∇·τ at centres, as particles see it.
+    pub(super) seen: Vec<[f64; 3]>,
+}
+
+impl Viscous {
+    pub(super) fn new(grid: &Grid<3>, viscosity: f64) -> Self {
+        let layout = Layout::from(grid);
+        Self {
+            cells: grid.cells[0],
+            inverse: grid.spacing.map(|h| 1.0 / h),
+            normal: Field::zero_faces(layout),
+            shear: Field::zero_faces(layout),
+            push: Field::zero_faces(layout),
+            viscosities: [viscosity, 0.0].map(|value| vec![value; grid.cells[0]]),
+            seen: vec![[0.0; 3]; grid.len()],
+        }
+    }
+
+    /// Leaves ∇·τ of `gas` on faces.
+    fn find(&mut self, rows: Rows<3>, gas: &Faces<f64, 3>) {
+        let h = self.inverse;
+        let [mu, none] = self.viscosities.each_ref().map(Vec::as_slice);
+        for axis in 0..3 {
+            rows.each([&mut self.normal[axis]], |row, [normal]| {
+                let u = std::array::from_fn(|a| [row, row.near(a, 1)].map(|at| gas[a].row(at)));
+                normal_row::<f64, 3>(normal, axis, u, mu, none, h);
+            });
+        }
+        for (at, (a, b)) in pairs::<3>() {
+            rows.each([&mut self.shear[at]], |row, [shear]| {
+                shear_row(shear, shear_lines(gas, (a, b), row), [mu; 4], [h[a], h[b]]);
+            });
+        }
+        let (normal, shear) = (&self.normal, &self.shear);
+        for axis in 0..3 {
+            rows.each([&mut self.push[axis]], |row, [push]| {
+                let stress = std::array::from_fn(|b| {
+                    if b == axis {
+                        [row.near(axis, -1), row].map(|at| normal[axis].row(at))
+                    } else {
+                        [row, row.near(b, 1)].map(|at| shear[pair(axis, b)].row(at))
+                    }
+                });
+                divergence_row::<f64, 3>(push, stress, h);
+            });
+        }
+    }
+
+    /// ∇·τ at centres, as particles see it: half of what each face of a cell has, so that all that particles
+    /// and gas are pushed by is ∇·τ.
+    pub(super) fn see(&mut self, layout: Layout<3>, mapping: &mut Mapping) {
+        for (number, seen) in self.seen.chunks_mut(self.cells).enumerate() {
+            let row = layout.row(number);
+            for axis in 0..3 {
+                let push = &self.push[axis];
+                let (lower, upper) = (push.row(row), push.row(row.near(axis, 1)));
+                for (i, seen) in seen.iter_mut().enumerate() {
+                    seen[axis] = 0.5 * (lower[i] + upper[i]);
+                }
+            }
+        }
+        mapping.smooth(&mut self.seen);
+    }
 }
 
 impl CfdDem {
@@ -34,10 +115,24 @@ impl CfdDem {
         let rows = self.rows;
         let density = self.setup.gas.density;
         let inverse = self.grid.spacing.map(|h| 1.0 / h);
+        let weight = self.driven()[1];
+        if let Some(viscous) = &mut self.viscous {
+            viscous.find(rows, &self.gas);
+            for axis in 0..3 {
+                let (push, phi) = (&viscous.push[axis], &self.phi[0]);
+                rows.each([&mut self.carried[axis]], |row, [carried]| {
+                    let (lower, upper) = (phi.row(row.near(axis, -1)), phi.row(row));
+                    for (i, carried) in carried.iter_mut().enumerate() {
+                        let open = 1.0 - mean(lower, upper, i);
+                        *carried += dt / density * open * push.row(row)[i];
+                    }
+                });
+            }
+        }
 
         // Under the old pressure.
         for axis in 0..3 {
-            let push = if axis == 2 { self.buoyancy[1] } else { 0.0 };
+            let push = if axis == 2 { weight } else { 0.0 };
             let Self { phi: [now, before, _], drag, given, carried, pressure, .. } = self;
             let given = &given[axis];
             let outputs = [&mut self.gas[axis], &mut self.flux[axis], &mut self.mobility[axis]];

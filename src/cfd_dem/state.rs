@@ -1,7 +1,7 @@
 //! The state of a [`CfdDem`] between two steps, as bytes.
 //!
 //! Little-endian: cells along each axis (u64 each); time, next step (f64) and what limits it (u64), the step
-//! before (f64); φ now and of the two steps before, p and its last increment, the components of u, each
+//! before (f64), the mean pressure gradient over the weight (f64); φ now and of the two steps before, p and its last increment, the components of u, each
 //! row by row, first axis fastest (f64); the number of contacts (u64), and the place, arm and force of each
 //! (10 f64); then the particles, with what they are owed
 //! ([`Dem::save_state`](crate::dem::Dem::save_state)).
@@ -73,6 +73,7 @@ impl CfdDem {
         put_f64(to, next_dt)?;
         to.write_all(&(limit as u64).to_le_bytes())?;
         put_f64(to, self.last_dt)?;
+        put_f64(to, self.pressure_gradient())?;
         for field in self.phi.iter().chain([&self.pressure, &self.increment]).chain(&self.gas) {
             put_field(to, field)?;
         }
@@ -100,6 +101,10 @@ impl CfdDem {
         let known = usize::try_from(limit).ok().and_then(|limit| Limit::ALL.get(limit));
         self.next_dt = (next_dt, *known.ok_or(StateError::Limit(limit))?);
         self.last_dt = take_f64(from)?;
+        let gradient = take_f64(from)?;
+        if let Some(flux) = &mut self.gas_flux {
+            flux.gradient = gradient;
+        }
         let Self { phi, pressure, increment, gas, .. } = self;
         for field in phi.iter_mut().chain([pressure, increment]).chain(gas) {
             take_field(from, field)?;

@@ -1,16 +1,21 @@
 use super::*;
+use crate::case::{Diameters, Places};
 use crate::dem::lattice;
+use crate::laws::drag::WenYu;
 use crate::laws::scales::tests::{GAS, POWDER};
 use crate::rows::on_threads;
 
 /// The founding paper's powder, in cells of 3 1/3 d.
-fn setup(solids_fraction: f64) -> Setup {
+pub(super) fn setup(solids_fraction: f64) -> Setup {
     Setup {
         powder: POWDER,
         gas: GAS,
         gravity: 9.81,
         drag: DragChoice::WenYu,
+        mixture: MixtureChoice::OwnDiameter,
         gas_inertia: true,
+        gas_stress: false,
+        drive: Drive::PressureGradient,
         solids_fraction,
         contact: Contact {
             stiffness: 2.0,
@@ -18,6 +23,7 @@ fn setup(solids_fraction: f64) -> Setup {
             tangential_stiffness: 2.0 / 7.0,
             tangential_damping: 0.5,
             friction: 0.3,
+            cohesion: 0.0,
         },
         steps_per_contact: 20.0,
         mapping: MappingChoice::Trilinear,
@@ -28,7 +34,7 @@ fn setup(solids_fraction: f64) -> Setup {
     }
 }
 
-fn grid(cells: [usize; 3]) -> Grid<3> {
+pub(super) fn grid(cells: [usize; 3]) -> Grid<3> {
     Grid::new(cells.map(|n| 0.25e-3 * n as f64), cells)
 }
 
@@ -61,15 +67,41 @@ fn a_uniform_array_keeps_the_slip_of_its_drag_law() {
     }
 }
 
+/// Particles at random places, of several diameters.
+fn mixed(grid: Grid<3>, setup: Setup, deviation: f64) -> CfdDem {
+    let diameters = Diameters::LogNormal(deviation);
+    let start = ParticlesStart { places: Places::Random, diameters };
+    let spheres = spheres(&grid, &setup, &start).unwrap();
+    CfdDem::with_spheres(grid, setup, &spheres).unwrap()
+}
+
+/// A set-up that differs from the usual one in all that a case may choose.
+fn other(solids_fraction: f64) -> Setup {
+    let setup = setup(solids_fraction);
+    Setup {
+        mixture: MixtureChoice::VanDerHoef,
+        gas_stress: true,
+        drive: Drive::GasFlux(None),
+        contact: Contact { cohesion: 0.02, ..setup.contact },
+        smoothing: 1e-4,
+        ..setup
+    }
+}
+
 #[test]
 fn momentum_volume_and_particles_are_kept() {
-    for (mapping, smoothing, gas_inertia) in [
-        (MappingChoice::Trilinear, 0.0, true),
-        (MappingChoice::Divided, 2e-4, true),
-        (MappingChoice::Trilinear, 1e-4, false),
+    for setup in [
+        setup(0.15),
+        Setup { mapping: MappingChoice::Divided, smoothing: 2e-4, ..setup(0.15) },
+        Setup { gas_inertia: false, ..other(0.15) },
+        other(0.15),
     ] {
-        let setup = Setup { mapping, smoothing, gas_inertia, ..setup(0.15) };
-        let mut flow = CfdDem::new(grid([8, 10, 12]), setup).unwrap();
+        let Setup { mapping, smoothing, .. } = setup;
+        let mut flow = if setup.gas_stress {
+            mixed(grid([8, 10, 12]), setup, 1.25)
+        } else {
+            CfdDem::new(grid([8, 10, 12]), setup).unwrap()
+        };
         let start = flow.means();
         while flow.time() < 0.01 {
             let report = flow.step(0.01).unwrap();
@@ -85,6 +117,181 @@ fn momentum_volume_and_particles_are_kept() {
         // They have moved against each other by now.
         assert!(flow.dem.temperature() > 1e-8);
     }
+}
+
+#[test]
+fn a_gas_flux_is_kept_by_a_gradient_that_finds_its_value() {
+    // Of an array: the gradient is that of its drag. At half of its slip it falls.
+    for part in [0.5, 1.0, 1.5] {
+        let grid = grid([8, 8, 8]);
+        let phi = 4096.0 * PI / 6.0 * POWDER.diameter.powi(3) / 8e-9;
+        let slip = part * homogeneous_slip(&WenYu::new(&GAS, &POWDER), &POWDER, &GAS, 9.81, phi);
+        let drive = Drive::GasFlux(Some((1.0 - phi) * slip));
+        let mut flow = on_a_lattice(grid, [16; 3], Setup { drive, ..setup(0.1) });
+        while flow.time() < 5e-3 {
+            flow.step(5e-3).unwrap();
+        }
+        let means = flow.means();
+        assert!((means.slip / slip - 1.0).abs() < 1e-12, "{part}: {}", means.slip / slip);
+        let weight = (1.0 - phi) * (POWDER.density - GAS.density) * 9.81;
+        let expected = flow.law.beta_per_fraction(phi, slip) * slip / weight;
+        assert!((means.pressure_gradient / expected - 1.0).abs() < 1e-3, "{part}: {means:?}");
+    }
+    // Of a clustering bed: the flux stays, the gradient moves.
+    let mut flow =
+        CfdDem::new(grid([8, 8, 16]), Setup { drive: Drive::GasFlux(None), ..setup(0.15) })
+            .unwrap();
+    let wanted = flow.uniform_slip();
+    let (mut least, mut most) = (f64::INFINITY, 0.0f64);
+    for n in 1..=20 {
+        let until = 2e-3 * f64::from(n);
+        while flow.time() < until {
+            flow.step(until).unwrap();
+            let means = flow.means();
+            assert!((means.slip / wanted - 1.0).abs() < 1e-11, "{}", means.slip / wanted);
+            least = least.min(means.pressure_gradient);
+            most = most.max(means.pressure_gradient);
+        }
+    }
+    println!("{least} {most}");
+    assert!(least > 0.2 && most < 1.5 && most - least > 1e-3, "{least} {most}");
+}
+
+#[test]
+fn a_shear_wave_of_the_gas_decays_by_its_viscosity() {
+    // Waves of x and y along z, and what a box without a molecular stress leaves of them.
+    let grid = grid([8, 8, 16]);
+    let sphere = dem::Sphere {
+        position: [1e-3; 3],
+        velocity: [0.0; 3],
+        spin: [0.0; 3],
+        diameter: POWDER.diameter,
+        density: POWDER.density,
+    };
+    let time = 0.01;
+    let amplitudes = |gas_stress| {
+        let setup = Setup { gas_stress, gravity: 1e-3, ..setup(0.0) };
+        let mut flow = CfdDem::with_spheres(grid, setup, &[sphere]).unwrap();
+        let wave = |k: usize| (2.0 * PI * (k as f64 + 0.5) / 16.0).sin();
+        flow.gas[0].set(|[_, _, k]| 1e-3 * wave(k));
+        flow.gas[1].set(|[_, _, k]| -2e-3 * wave(k));
+        while flow.time() < time {
+            flow.step(time).unwrap();
+        }
+        [0, 1].map(|axis| {
+            let (mut sum, mut place) = (0.0, 0);
+            for row in flow.gas[axis].interior() {
+                sum += wave(place / 8) * row.iter().sum::<f64>();
+                place += 1;
+            }
+            sum
+        })
+    };
+    let (with, without) = (amplitudes(true), amplitudes(false));
+    // The difference operator's square of the wave number.
+    let square = 2.0 * (1.0 - (2.0 * PI / 16.0).cos()) / (0.25e-3 * 0.25e-3);
+    let expected = (-GAS.viscosity / GAS.density * square * time).exp();
+    for axis in 0..2 {
+        let found = with[axis] / without[axis];
+        assert!((found.ln() / expected.ln() - 1.0).abs() < 0.02, "{found} {expected}");
+    }
+}
+
+/// A regular array of two diameters whose Sauter mean is the powder's.
+fn of_two_sizes(grid: Grid<3>, setup: Setup) -> (CfdDem, [f64; 2]) {
+    let small = POWDER.diameter * 3.25 / 4.375;
+    let sizes = [small, 1.5 * small];
+    let mut spheres = lattice(grid.size(), [16; 3], sizes[1], POWDER.density).unwrap();
+    for (n, sphere) in spheres.iter_mut().enumerate() {
+        sphere.diameter = sizes[(n % 16 + n / 16 % 16 + n / 256) % 2];
+    }
+    (CfdDem::with_spheres(grid, setup, &spheres).unwrap(), sizes)
+}
+
+#[test]
+fn drag_on_a_mixture_is_that_of_each_diameter() {
+    for mixture in [MixtureChoice::OwnDiameter, MixtureChoice::VanDerHoef] {
+        let (flow, sizes) = of_two_sizes(grid([8; 3]), Setup { mixture, ..setup(0.0) });
+        let mut fine = FineFields::zeros(flow.grid);
+        flow.fields(&mut fine);
+        let (phi, slip) = (flow.setup.solids_fraction, flow.uniform_slip());
+        assert!((sauter_mean(sizes.into_iter()) / POWDER.diameter - 1.0).abs() < 1e-14);
+        let cubes = sizes.map(|d| d.powi(3));
+        let whole: f64 = cubes.iter().sum();
+        // By the law of each diameter, or of the mean one.
+        let expected: f64 = match mixture {
+            MixtureChoice::OwnDiameter => (0..2)
+                .map(|n| {
+                    let powder = Powder { diameter: sizes[n], ..POWDER };
+                    let law = WenYu::<f64>::new(&GAS, &powder);
+                    law.beta_per_fraction(phi, slip) * phi * cubes[n] / whole * slip
+                })
+                .sum(),
+            MixtureChoice::VanDerHoef => WenYu::<f64>::new(&GAS, &POWDER).beta(phi, slip) * slip,
+        };
+        for cell in 0..flow.grid.len() {
+            assert!((fine.drag[2][cell] / expected - 1.0).abs() < 1e-11, "{mixture:?} {cell}");
+            let temperature = fine.granular_temperature[cell];
+            assert!(temperature.abs() < 1e-18, "{temperature}");
+        }
+    }
+}
+
+#[test]
+fn granular_temperature_weighs_by_mass() {
+    let (mut flow, sizes) = of_two_sizes(grid([8; 3]), setup(0.0));
+    // Each size of one velocity: by mass m_1 v_1 = -m_2 v_2.
+    let cubes = sizes.map(|d| d.powi(3));
+    let mut spheres = flow.dem.spheres();
+    for sphere in &mut spheres {
+        let small = sphere.diameter < 1.1 * sizes[0];
+        sphere.velocity = [if small { 0.01 } else { -0.01 * cubes[0] / cubes[1] }, 0.0, 0.0];
+    }
+    flow = CfdDem::with_spheres(flow.grid, flow.setup, &spheres).unwrap();
+    let mut fine = FineFields::zeros(flow.grid);
+    flow.fields(&mut fine);
+    // ⟨m v²⟩/(3 ⟨m⟩) with ⟨m v⟩ = 0.
+    let expected = 1e-4 * cubes[0] / cubes[1] / 3.0;
+    for cell in 0..flow.grid.len() {
+        assert!((fine.granular_temperature[cell] / expected - 1.0).abs() < 1e-9);
+        let pressure = POWDER.density * flow.setup.solids_fraction * expected;
+        assert!((fine.solids_pressure[cell] / pressure - 1.0).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn spheres_of_a_cubic_packing_touch_six_others() {
+    // Cells of 1.5 d, 12 spheres along each edge, a little closer than they touch.
+    let edge = 12.0 * 0.999 * POWDER.diameter;
+    let grid = Grid::new([edge; 3], [8; 3]);
+    let mut spheres =
+        lattice(grid.size(), [12; 3], 0.999 * POWDER.diameter, POWDER.density).unwrap();
+    spheres.iter_mut().for_each(|sphere| sphere.diameter = POWDER.diameter);
+    let mut flow = CfdDem::with_spheres(grid, setup(0.0), &spheres).unwrap();
+    flow.step(f64::INFINITY).unwrap();
+    let mut fine = FineFields::zeros(flow.grid);
+    flow.fields(&mut fine);
+    let counts = fine.counts.unwrap();
+    for (number, contacts) in counts.number_density.iter().zip(&counts.contact_density) {
+        assert!((contacts / number - 6.0).abs() < 1e-9, "{}", contacts / number);
+    }
+}
+
+#[test]
+fn cohesion_holds_a_bed_together() {
+    // Two beds that shear in gas: with a pull particles touch more others.
+    let coordination = |cohesion| {
+        let setup = setup(0.3);
+        let contact = Contact { cohesion, ..setup.contact };
+        let mut flow = CfdDem::new(grid([8, 8, 16]), Setup { contact, ..setup }).unwrap();
+        while flow.time() < 0.02 {
+            flow.step(0.02).unwrap();
+        }
+        2.0 * flow.touches.len() as f64 / flow.dem.len() as f64
+    };
+    // Bo = F_c/(m g) of about 0 and 300.
+    let [loose, sticky] = [0.0, 0.05].map(coordination);
+    assert!(sticky > 1.5 * loose && sticky > 1.0, "{loose} {sticky}");
 }
 
 #[test]
@@ -123,6 +330,13 @@ fn one_particle_settles_at_its_terminal_velocity() {
 
 #[test]
 fn a_box_goes_on_from_its_state_to_the_same_bits_whatever_the_threads() {
+    for all in [false, true] {
+        goes_on(all);
+    }
+}
+
+/// A box of the usual set-up, or of one that has all that a case may choose.
+fn goes_on(all: bool) {
     let state = |flow: &CfdDem| {
         let mut bytes = Vec::new();
         flow.save_state(&mut bytes).unwrap();
@@ -133,7 +347,13 @@ fn a_box_goes_on_from_its_state_to_the_same_bits_whatever_the_threads() {
             flow.step(until).unwrap();
         }
     };
-    let new = |parallel| CfdDem::new(grid([8, 8, 16]), Setup { parallel, ..setup(0.2) }).unwrap();
+    let new = |parallel| {
+        if all {
+            mixed(grid([8, 8, 16]), Setup { parallel, ..other(0.2) }, 1.2)
+        } else {
+            CfdDem::new(grid([8, 8, 16]), Setup { parallel, ..setup(0.2) }).unwrap()
+        }
+    };
     let mut whole = new(false);
     advance(&mut whole, 4e-3);
     let kept = state(&whole);
@@ -153,7 +373,8 @@ fn a_box_goes_on_from_its_state_to_the_same_bits_whatever_the_threads() {
     whole.fields(&mut a);
     other.fields(&mut b);
     assert_eq!(a.solids_stress, b.solids_stress);
-    assert_eq!(a.drag_coefficient, b.drag_coefficient);
+    assert_eq!(a.drag, b.drag);
+    assert_eq!(a.counts, b.counts);
 
     on_threads(3, || {
         let mut shared = new(true);
@@ -208,10 +429,14 @@ fn fields_are_sums_over_particles() {
     let flight = mean(&|c| POWDER.density * fine.solids_fraction[c] * fine.granular_temperature[c]);
     let found = mean(&|c| fine.solids_pressure[c]);
     assert!((found - virial - flight).abs() < 1e-9 * found.abs(), "{found} {virial} {flight}");
-    // Drag as the filter finds it is that on the particles, nearly.
-    let drag = mean(&|c| {
-        fine.drag_coefficient[c] * (fine.gas_velocity[2][c] - fine.solids_velocity[2][c])
-    });
+    // All particles, and either of each contact.
+    let counts = fine.counts.as_ref().unwrap();
+    let volume = cells * flow.grid.cell_volume();
+    assert!((mean(&|c| counts.number_density[c]) * volume / number - 1.0).abs() < 1e-12);
+    let ends = 2.0 * flow.touches.len() as f64;
+    assert!((mean(&|c| counts.contact_density[c]) * volume / ends - 1.0).abs() < 1e-12);
+    // The drag that is filtered is that on the particles.
+    let drag = mean(&|c| fine.drag[2][c]);
     let mut whole = 0.0;
     for (place, position) in flow.dem.positions().iter().enumerate() {
         let [ux, uy, uz, ..] = flow.mapping.shares(*position).see(&flow.pulls);
@@ -221,8 +446,7 @@ fn fields_are_sums_over_particles() {
         whole += flow.law.beta_per_fraction(seen, speed) * (uz - z) * flow.volume;
     }
     let whole = whole / (cells * flow.grid.cell_volume());
-    println!("drag {drag} of {whole}");
-    assert!((drag / whole - 1.0).abs() < 0.05, "{drag} {whole}");
+    assert!((drag / whole - 1.0).abs() < 1e-12, "{drag} {whole}");
 }
 
 #[test]

@@ -2,12 +2,12 @@
 
 use super::pairs::{IMAGES, Near, Slab, Touch, between};
 use super::{Dem, Quad, Seen, Setup};
-use crate::laws::contact::{Contact, TANGENTIAL_MOBILITY, damping};
+use crate::laws::contact::{Contact, TANGENTIAL_MOBILITY, damping, pull};
 use crate::rows::{join, simd};
 
-/// Whether contacts are left to be seen: a kernel for each answer.
+/// Whether contacts are left to be seen, and whether spheres cohere: a kernel for each answer.
 #[derive(Clone, Copy)]
-struct Watching<const SEEN: bool>;
+struct Kernel<const SEEN: bool, const COHESIVE: bool>;
 
 /// What contacts look at.
 #[derive(Clone, Copy)]
@@ -71,14 +71,18 @@ impl<'a> Loads<'a> {
 }
 
 /// Forces of a group of particles that meets no other; beyond them, `loads` have their images.
-pub(super) fn among<const SEEN: bool>(group: &mut Slab, scene: Scene, mut loads: Loads) {
+pub(super) fn among<const SEEN: bool, const COHESIVE: bool>(
+    group: &mut Slab,
+    scene: Scene,
+    mut loads: Loads,
+) {
     touching(group, scene.positions, scene.images);
-    contacts(group, scene, 0, loads.from(0), Watching::<SEEN>);
+    contacts(group, scene, 0, loads.from(0), Kernel::<SEEN, COHESIVE>);
     loads.gather(scene.positions.len());
 }
 
 /// Forces of every other of the `slabs`, the first among them. `loads` begin at place `base`, that of the first slab's first particle, and reach to the end of the slab above the last.
-fn every_other<const SEEN: bool>(
+fn every_other<const SEEN: bool, const COHESIVE: bool>(
     parallel: bool,
     scene: Scene,
     slabs: &mut [Slab],
@@ -92,13 +96,13 @@ fn every_other<const SEEN: bool>(
         let (below, above) = loads.split_at(middle - base);
         join(
             parallel,
-            || every_other::<SEEN>(parallel, scene, lower, base, below),
-            || every_other::<SEEN>(parallel, scene, upper, middle, above),
+            || every_other::<SEEN, COHESIVE>(parallel, scene, lower, base, below),
+            || every_other::<SEEN, COHESIVE>(parallel, scene, upper, middle, above),
         );
     } else if let Some(slab) = slabs.first_mut() {
         let Scene { positions, images, .. } = scene;
         touching(slab, positions, images);
-        contacts(slab, scene, base, loads, Watching::<SEEN>);
+        contacts(slab, scene, base, loads, Kernel::<SEEN, COHESIVE>);
     }
 }
 
@@ -139,12 +143,12 @@ fn add(to: &mut Quad, what: [f64; 3]) {
 simd! {
     /// Adds the forces and torques of a slab's pairs that [`touching`] found, and leaves their springs in
     /// its contacts.
-    fn contacts[const SEEN: bool](
+    fn contacts[const SEEN: bool, const COHESIVE: bool](
         slab: &mut Slab,
         scene: Scene<'_>,
         base: usize,
         loads: Loads<'_>,
-        _watching: Watching<SEEN>,
+        _kernel: Kernel<SEEN, COHESIVE>,
     ) {
         let Loads { forces, torques, touched } = loads;
         let Scene { positions, velocities, spins, images, law, dt } = scene;
@@ -176,6 +180,12 @@ simd! {
             // Δt/2 γ/m*: the dashpot acts with the mean velocity of the kick.
             let centred = 0.5 * dt * c * frequency;
             let spring = law.stiffness * overlap;
+            let pull = if COHESIVE {
+                pull(law.cohesion, [positions[a].0[3], positions[b].0[3]])
+            } else {
+                0.0
+            };
+            let less_pull = |spring: f64| if COHESIVE { spring - pull } else { spring };
             while let Some(parted) = old.next_if(|touch| touch.pair < place) {
                 *lost += 0.5 * tangential * dot(parted.spring, parted.spring);
             }
@@ -183,7 +193,7 @@ simd! {
             // The first and the last kick of a contact are those of the part of the step around them in
             // which the spheres touch: half a step, and the steps since they met, or until they part,
             // which are less than one.
-            let whole = (spring + dashpot * approach) / (1.0 + centred);
+            let whole = (less_pull(spring) + dashpot * approach) / (1.0 + centred);
             let parting = dt * whole * lighter - approach;
             let speed = if kept.is_none() { approach } else { parting };
             let ends = overlap < speed * dt;
@@ -196,10 +206,10 @@ simd! {
             } else {
                 (1.0, overlap)
             };
-            let push = share * (law.stiffness * squeezed + dashpot * approach)
+            let push = share * (less_pull(law.stiffness * squeezed) + dashpot * approach)
                 / (1.0 + share * centred);
-            *springs += 0.5 * spring * overlap;
-            *lost += (push - spring) * (approach - 0.5 * dt * push * lighter) * dt;
+            *springs += less_pull(0.5 * spring) * overlap;
+            *lost += (push - less_pull(spring)) * (approach - 0.5 * dt * push * lighter) * dt;
 
             let mut force = normal.map(|n| push * n);
             let mut stretched = [0.0; 3];
@@ -228,7 +238,9 @@ simd! {
                 let mut drag: [f64; 3] = std::array::from_fn(|n| {
                     -share * (tangential * sprung[n] + pull * slip[n]) / held
                 });
-                let (size, most) = (dot(drag, drag).sqrt(), law.friction * push.abs());
+                // What presses the surfaces together, the pull of cohesion too.
+                let pressed = if COHESIVE { push + share * pull } else { push };
+                let (size, most) = (dot(drag, drag).sqrt(), law.friction * pressed.abs());
                 if size > most {
                     drag = drag.map(|drag| drag * (most / size));
                     stretched = if tangential > 0.0 {
@@ -270,6 +282,14 @@ impl Dem {
     /// Adds up the forces of all contacts, which were zero before; returns the deepest overlap over the
     /// mean diameter.
     pub(super) fn contacts<const SEEN: bool>(&mut self) -> f64 {
+        if self.setup.contact.cohesion > 0.0 {
+            self.contacts_of::<SEEN, true>()
+        } else {
+            self.contacts_of::<SEEN, false>()
+        }
+    }
+
+    fn contacts_of<const SEEN: bool, const COHESIVE: bool>(&mut self) -> f64 {
         let images = self.cells.images();
         let bodies = [&self.positions[..], &self.velocities, &self.spins];
         let scene = Scene::new(bodies, &images, &self.setup, self.dt);
@@ -279,12 +299,12 @@ impl Dem {
             torques: &mut self.torques,
             touched: &mut self.touched,
         };
-        every_other::<SEEN>(parallel, scene, &mut self.slabs, 0, loads.from(0));
+        every_other::<SEEN, COHESIVE>(parallel, scene, &mut self.slabs, 0, loads.from(0));
         if let [_, slabs @ ..] = &mut self.slabs[..]
             && let Some(Slab { begin, .. }) = slabs.first()
         {
             let begin = *begin;
-            every_other::<SEEN>(parallel, scene, slabs, begin, loads.from(begin));
+            every_other::<SEEN, COHESIVE>(parallel, scene, slabs, begin, loads.from(begin));
         }
         loads.gather(self.positions.len());
         let mut deepest = 0.0f64;

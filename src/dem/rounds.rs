@@ -279,10 +279,11 @@ impl Stretch<'_> {
         let (forces, torques, touched) =
             (&mut *self.forces, &mut *self.torques, &mut *self.touched);
         let loads = Loads { forces, torques, touched };
-        if SEEN && last {
-            among::<true>(share, scene, loads);
-        } else {
-            among::<false>(share, scene, loads);
+        match (SEEN && last, common.setup.contact.cohesion > 0.0) {
+            (false, false) => among::<false, false>(share, scene, loads),
+            (false, true) => among::<false, true>(share, scene, loads),
+            (true, false) => among::<true, false>(share, scene, loads),
+            (true, true) => among::<true, true>(share, scene, loads),
         }
     }
 }

@@ -130,6 +130,7 @@ pub fn packed(
         tangential_stiffness: 0.0,
         tangential_damping: 0.0,
         friction: 0.0,
+        cohesion: 0.0,
     };
     let setup = Setup { size, contact, steps_per_contact: 20.0, skin: SKIN, parallel };
     let mut dem = Dem::new(setup, &spheres)?;
@@ -138,7 +139,7 @@ pub fn packed(
     let rate = DRAG * PI / (setup.steps_per_contact * dem.time_step());
     dem.drives_mut().fill(Quad([0.0, 0.0, 0.0, rate]));
     loop {
-        let overlap = dem.shares().fold(0.0f64, |most, share| most.max(share.deepest));
+        let overlap = dem.deepest_overlap();
         if overlap < 0.5 * MARGIN {
             break;
         }
@@ -154,15 +155,19 @@ pub fn packed(
     Ok(spheres)
 }
 
+/// Normally distributed numbers, by Box and Muller's transform.
+pub(crate) fn normals(random: &mut Pcg64Mcg) -> impl FnMut() -> f64 {
+    || {
+        let (u, v): (f64, f64) = (random.random(), random.random());
+        (-2.0 * (1.0 - u).ln()).sqrt() * (2.0 * PI * v).cos()
+    }
+}
+
 /// Gives the spheres normally distributed velocities of zero mean by mass and of exactly the granular
 /// `temperature` T = ⟨m v²⟩/(3 ⟨m⟩) \[m²/s²\].
 pub fn thermal(spheres: &mut [Sphere], temperature: f64, seed: u64) {
     let mut random = Pcg64Mcg::seed_from_u64(seed);
-    // Box and Muller's transform.
-    let mut normal = || {
-        let (u, v): (f64, f64) = (random.random(), random.random());
-        (-2.0 * (1.0 - u).ln()).sqrt() * (2.0 * PI * v).cos()
-    };
+    let mut normal = normals(&mut random);
     for sphere in spheres.iter_mut() {
         sphere.velocity = [normal(), normal(), normal()];
     }

@@ -1,4 +1,5 @@
 use super::*;
+use crate::laws::contact::{separation_energy, sticking_speed};
 use crate::rows::on_threads;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -13,6 +14,7 @@ fn setup(size: [f64; 3], restitution: f64, friction: f64, parallel: bool) -> Set
         tangential_stiffness: 2.0 / 7.0,
         tangential_damping: 0.5,
         friction,
+        cohesion: 0.0,
     };
     Setup { size, contact, steps_per_contact: 50.0, skin: SKIN, parallel }
 }
@@ -313,4 +315,90 @@ fn no_spheres_are_fine() {
     let mut dem = Dem::new(setup([1e-3; 3], 0.9, 0.1, false), &[]).unwrap();
     dem.run(10).unwrap();
     assert!(dem.is_empty() && dem.momentum() == [0.0; 3]);
+}
+
+/// Two spheres on one line that overlap by `overlap` and fly apart at `speed`, without a dashpot.
+fn cohesive_pair(overlap: f64, speed: f64, restitution: f64, cohesion: f64) -> Dem {
+    let gap = DIAMETER - overlap;
+    let a = sphere([2e-4, 3e-4, 3e-4], [-0.5 * speed, 0.0, 0.0]);
+    let b = sphere([2e-4 + gap, 3e-4, 3e-4], [0.5 * speed, 0.0, 0.0]);
+    let mut setup = setup([6e-4; 3], restitution, 0.3, false);
+    setup.contact.cohesion = cohesion;
+    setup.steps_per_contact = 100.0;
+    Dem::new(setup, &[a, b]).unwrap()
+}
+
+#[test]
+fn parting_two_spheres_takes_the_energy_of_their_pull() {
+    // F_c of 1 % of k_n d: C = 4 F_c/d.
+    let stiffness = setup([6e-4; 3], 0.9, 0.3, false).contact.stiffness;
+    let force = 0.01 * stiffness * DIAMETER;
+    let cohesion = 4.0 * force / DIAMETER;
+    let rest = force / stiffness;
+    let effective = 0.5 * PI / 6.0 * DENSITY * DIAMETER.powi(3);
+    let energy = separation_energy(stiffness, force);
+    for (share, parts) in [(0.95, false), (1.05, true)] {
+        let speed = (2.0 * share * energy / effective).sqrt();
+        let mut dem = cohesive_pair(rest, speed, 1.0, cohesion);
+        let before = dem.energy().kept();
+        dem.run(400).unwrap();
+        assert_eq!(dem.touching() == 0, parts, "{share}");
+        let kept = dem.energy();
+        // Springs and pull keep what they take, as far as a leapfrog of 100 steps in a contact does.
+        let change = (kept.kept() - before) / energy;
+        assert!(change.abs() < 0.02 && (kept.lost / energy).abs() < 0.02, "{change} {kept:?}");
+        if parts {
+            // What is left flies off.
+            assert!(
+                (kept.translation / energy - 0.05).abs() < 0.02,
+                "{}",
+                kept.translation / energy
+            );
+        }
+    }
+    // Damped, they come to rest as far in as the pull is of the spring.
+    let mut dem = cohesive_pair(0.5 * rest, 0.0, 0.5, cohesion);
+    dem.run(5000).unwrap();
+    let spheres = dem.spheres();
+    let distance = spheres[1].position[0] - spheres[0].position[0];
+    assert!(((DIAMETER - distance) / rest - 1.0).abs() < 1e-6);
+    // A pull harder than F_c on either parts them, one that is less does not.
+    let lightness = 1.0 / (2.0 * effective);
+    for (share, parts) in [(0.98, false), (1.02, true)] {
+        let mut dem = dem.clone();
+        for step in 1..=2000 {
+            // Little by little, so that nothing swings.
+            let pull = share * force * lightness * f64::from(step) / 2000.0;
+            for place in 0..2 {
+                let sign = if dem.ids()[place] == 0 { -1.0 } else { 1.0 };
+                dem.drives_mut()[place] = Quad([sign * pull, 0.0, 0.0, 0.0]);
+            }
+            dem.run(20).unwrap();
+            if dem.touching() == 0 {
+                break;
+            }
+        }
+        assert_eq!(dem.touching() == 0, parts, "{share} of the pull");
+    }
+}
+
+#[test]
+fn spheres_that_meet_slowly_stick() {
+    let stiffness = setup([6e-4; 3], 0.9, 0.3, false).contact.stiffness;
+    let force = 0.002 * stiffness * DIAMETER;
+    let cohesion = 4.0 * force / DIAMETER;
+    let effective = 0.5 * PI / 6.0 * DENSITY * DIAMETER.powi(3);
+    for e in [0.6, 0.9] {
+        let limit = sticking_speed(stiffness, e, effective, force);
+        for (share, parts) in [(0.93, false), (1.07, true)] {
+            let mut dem = cohesive_pair(-0.1 * force / stiffness, -share * limit, e, cohesion);
+            let mut met = false;
+            for _ in 0..40 {
+                dem.run(10).unwrap();
+                met |= dem.touching() > 0;
+            }
+            assert!(met);
+            assert_eq!(dem.touching() == 0, parts, "{e}: {share}");
+        }
+    }
 }

@@ -10,6 +10,18 @@
 //! F_t = -(k_t ξ + γ_t v_t),             |F_t| <= μ_c |F_n|, by slipping: ξ is cut, not the force alone
 //! ```
 //!
+//! Spheres may cohere: what Derjaguin, Muller & Toporov (J. Colloid Interface Sci. 53:314, 1975) found for stiff
+//! and small ones, a pull that is the same however they are pressed together, and proportional to their
+//! reduced radius, 1/R* = 1/R_i + 1/R_j:
+//!
+//! ```text
+//! F_n = k_n δ + γ_n v_n - F_c           F_c = C R*,  C = 2 π w, w the work of adhesion
+//! |F_t| <= μ_c |F_n + F_c|
+//! ```
+//!
+//! It acts between spheres that touch, so that F_c is the force that parts them, δ = F_c/k_n their overlap at
+//! rest, and F_c²/(2 k_n) the energy that parting them takes.
+//!
 //! The step is a leapfrog: forces at whole steps, velocities at halves. Each dashpot acts with the
 //! mean of the velocities before and after the kick that its pair alone would get, which makes the
 //! damping of second order: F = (k δ + γ v)/(1 + γ Δt/(2 m)), with m = m* along the normal, and
@@ -33,6 +45,47 @@ pub struct Contact {
     pub tangential_damping: f64,
     /// Friction coefficient μ_c \[-\].
     pub friction: f64,
+    /// Force that parts two spheres over their reduced radius, C = F_c/R*; 0 of spheres that do not cohere,
+    /// which then costs nothing \[N/m\].
+    pub cohesion: f64,
+}
+
+/// F_c = C R* \[N\], the pull of two spheres that touch, of radii R_i and R_j \[m\]: R* = R_i R_j/(R_i + R_j).
+#[inline(always)]
+pub fn pull(cohesion: f64, radii: [f64; 2]) -> f64 {
+    cohesion * (radii[0] * radii[1] / (radii[0] + radii[1]))
+}
+
+/// C of a powder of equal spheres of this `diameter` \[m\] and `mass` \[kg\]: two of them part at the granular
+/// Bond number Bo = F_c/(m g) times the weight of one \[N/m\].
+pub fn cohesion_of(bond_number: f64, diameter: f64, mass: f64, gravity: f64) -> f64 {
+    bond_number * mass * gravity / (0.25 * diameter)
+}
+
+/// Energy that parts two spheres which rest on each other under a `pull` \[N\], F_c²/(2 k_n) \[J\].
+pub fn separation_energy(stiffness: f64, pull: f64) -> f64 {
+    0.5 * pull * pull / stiffness
+}
+
+/// Speed of approach up to which two spheres that meet head on stay together \[m/s\]: the dashpot leaves them
+/// nothing to fly apart with.
+///
+/// Of the oscillation about x = δ - F_c/k_n that comes to rest where they would part, x = -F_c/k_n, the
+/// speed half a swing and more before, back in time s from there:
+/// x = -F_c/k_n exp(β s)(cos ω s - β/ω sin ω s), β = γ_n/(2 m*), ω² = k_n/m* - β².
+pub fn sticking_speed(stiffness: f64, restitution: f64, effective_mass: f64, pull: f64) -> f64 {
+    let beta = 0.5 * damping(restitution);
+    let omega = (1.0 - beta * beta).sqrt();
+    // In units of m*, k_n and F_c/k_n.
+    let x = |s: f64| -(beta * s).exp() * ((omega * s).cos() - beta / omega * (omega * s).sin());
+    let (mut inside, mut outside) = (PI / omega, 2.0 * PI / omega);
+    for _ in 0..100 {
+        let middle = 0.5 * (inside + outside);
+        if x(middle) > -1.0 { inside = middle } else { outside = middle }
+    }
+    let s = inside;
+    let speed = (beta * s).exp() * (omega * s).sin().abs() / omega;
+    speed * pull / (stiffness * effective_mass).sqrt()
 }
 
 /// c = γ_n / sqrt(m* k_n) = -2 ln e / sqrt(π² + ln² e) \[-\]: the dashpot that leaves the share e of
@@ -137,8 +190,43 @@ mod tests {
             tangential_stiffness: 2.0 / 7.0,
             tangential_damping: 0.5,
             friction: 1e3,
+            cohesion: 0.0,
         };
         assert!((sticking_restitution(&law) + 1.0).abs() < 1e-12);
         assert_eq!(normal_impulse(1.0), 2.0);
+    }
+
+    #[test]
+    fn spheres_stick_below_the_speed_at_which_the_oscillator_comes_to_rest_where_it_would_part() {
+        let (k, m, pull) = (14.0, 1.65e-10, 2e-7);
+        for e in [0.5, 0.9] {
+            let limit = sticking_speed(k, e, m, pull);
+            let gamma = damping(e) * (m * k).sqrt();
+            let parts = |speed: f64| {
+                let dt = 1e-4 * (m / k).sqrt();
+                let (mut x, mut v) = (0.0, speed);
+                for _ in 0..200_000 {
+                    let middle = x + 0.5 * dt * v;
+                    v -= dt * (k * middle + gamma * v - pull) / m;
+                    x += dt * v;
+                    if x < 0.0 {
+                        return true;
+                    }
+                }
+                false
+            };
+            assert!(parts(1.001 * limit) && !parts(0.999 * limit), "{e}");
+        }
+        assert_eq!(sticking_speed(k, 0.9, m, 0.0), 0.0);
+        // C of a powder of Bo = 10 and of the founding paper's spheres: 4 F_c/d.
+        let c = cohesion_of(10.0, 75e-6, 3.3e-10, 9.81);
+        assert!((pull_of_equals(c) / (10.0 * 3.3e-10 * 9.81) - 1.0).abs() < 1e-14);
+        // A tenth of the radius on one side: R* from d/4 to 0.0909 d/2.
+        let small = super::pull(c, [37.5e-6, 3.75e-6]) / pull_of_equals(c);
+        assert!((small - 2.0 / 11.0).abs() < 1e-14, "{small}");
+    }
+
+    fn pull_of_equals(cohesion: f64) -> f64 {
+        pull(cohesion, [37.5e-6; 2])
     }
 }

@@ -37,6 +37,45 @@ impl<R: Real, L: DragLaw<R> + ?Sized> DragLaw<R> for Box<L> {
     }
 }
 
+/// Drag on one sphere of a mixture of diameters, from a law of equal spheres of a reference diameter.
+pub trait SphereDrag: Send + Sync {
+    /// β/φ of a sphere whose diameter is `ratio` times that of reference \[kg/m³/s\]: the force on it over its
+    /// volume and its slip.
+    fn of_sphere(&self, solids_fraction: f64, slip_speed: f64, ratio: f64) -> f64;
+}
+
+/// The law of equal spheres of the sphere's own diameter.
+///
+/// Every law here is μ_g/d² times a function of φ and ρ_g d |u|/μ_g, so that with y = d_i/d
+/// β_i(φ, |u|) = β(φ, y |u|)/y².
+#[derive(Clone, Copy, Debug)]
+pub struct OwnDiameter<L>(pub L);
+
+impl<L: DragLaw<f64>> SphereDrag for OwnDiameter<L> {
+    #[inline(always)]
+    fn of_sphere(&self, solids_fraction: f64, slip_speed: f64, ratio: f64) -> f64 {
+        self.0.beta_per_fraction(solids_fraction, ratio * slip_speed) / (ratio * ratio)
+    }
+}
+
+/// Van der Hoef, Beetstra & Kuipers (2005, J. Fluid Mech. 528:233) and Beetstra et al. (2007), of
+/// lattice-Boltzmann simulations of mixtures of two diameters with ratios up to 4: the drag on a sphere,
+/// over 3π μ_g d_i (1-φ) |u|, is y_i = d_i/⟨d⟩ times that on equal spheres of the Sauter mean diameter ⟨d⟩,
+/// which is that of reference; so that β_i(φ, |u|) = β(φ, |u|)/y_i. All spheres of one velocity then take the
+/// drag of equal ones.
+///
+/// As in MFIX for model A, by the erratum of 2007: of the published (1-φ) y + φ y² (+ 0.064 (1-φ) y³, which is
+/// not 1 at y = 1), the force with the push of the mean pressure gradient, the second is that push.
+#[derive(Clone, Copy, Debug)]
+pub struct VanDerHoef<L>(pub L);
+
+impl<L: DragLaw<f64>> SphereDrag for VanDerHoef<L> {
+    #[inline(always)]
+    fn of_sphere(&self, solids_fraction: f64, slip_speed: f64, ratio: f64) -> f64 {
+        self.0.beta_per_fraction(solids_fraction, slip_speed) / ratio
+    }
+}
+
 /// Smallest Reynolds number that a logarithm is taken of; a term in it is below 1e-19 there.
 const SMALLEST_REYNOLDS: f64 = 1e-30;
 
@@ -365,5 +404,41 @@ mod tests {
                 assert_eq!(betas[n], law.as_ref().beta(phi[n], speed[n]), "{name}");
             }
         }
+    }
+
+    #[test]
+    fn a_sphere_of_a_mixture_has_the_law_of_its_own_diameter() {
+        let ratio = 1.7;
+        let other = Powder { diameter: ratio * POWDER.diameter, ..POWDER };
+        let pairs: [(Box<dyn DragLaw<f64>>, Box<dyn DragLaw<f64>>); 4] = [
+            (Box::new(WenYu::new(&GAS, &POWDER)), Box::new(WenYu::new(&GAS, &other))),
+            (Box::new(Gidaspow::new(&GAS, &POWDER)), Box::new(Gidaspow::new(&GAS, &other))),
+            (Box::new(Beetstra::new(&GAS, &POWDER)), Box::new(Beetstra::new(&GAS, &other))),
+            (Box::new(Tenneti::new(&GAS, &POWDER)), Box::new(Tenneti::new(&GAS, &other))),
+        ];
+        for (law, own) in pairs {
+            let mixture = OwnDiameter(law);
+            for (phi, u) in [(0.0, 0.3), (0.1, 0.05), (0.45, 2.0)] {
+                let (found, expected) =
+                    (mixture.of_sphere(phi, u, ratio), own.beta_per_fraction(phi, u));
+                assert!((found / expected - 1.0).abs() < 1e-13, "{phi} {u}: {found} {expected}");
+                assert_eq!(mixture.of_sphere(phi, u, 1.0), mixture.0.beta_per_fraction(phi, u));
+            }
+        }
+    }
+
+    #[test]
+    fn a_mixture_takes_the_drag_of_equal_spheres_of_its_sauter_mean() {
+        let law = Beetstra::<f64>::new(&GAS, &POWDER);
+        let mixture = VanDerHoef(law);
+        // By volume 0.3 of 0.6 and 0.7 of y such that Σ share/y = 1: the Sauter mean is that of reference.
+        let (phi, u) = (0.3, 0.4);
+        let classes = [(0.3, 0.6), (0.7, 0.7 / (1.0 - 0.3 / 0.6))];
+        let found: f64 =
+            classes.iter().map(|(share, y)| share * mixture.of_sphere(phi, u, *y)).sum();
+        assert!((found / law.beta_per_fraction(phi, u) - 1.0).abs() < 1e-14);
+        // In creeping flow the force on a sphere goes with the square of its diameter, not with the diameter.
+        let force = |y: f64| y.powi(3) * mixture.of_sphere(phi, 0.0, y);
+        assert!((force(2.0) / force(1.0) - 4.0).abs() < 1e-14);
     }
 }

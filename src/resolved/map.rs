@@ -44,7 +44,8 @@
 //! | `gas_velocity` | `gas_velocity`, `U.air`, `U.gas`, `U_g` `V_g` `W_g`, `Gas_Velocity` |
 //! | `pressure_gradient` | `pressure_gradient` |
 //! | `pressure` | `pressure`, `p`, `P_g`; of OpenFOAM also `p_rgh`, to which (φ ρ_s + (1-φ) ρ_g) g·x is added |
-//! | `drag_coefficient` | `drag_coefficient` |
+//! | `drag_coefficient`, `drag` | the same names; drag that is not given is drag_coefficient times the slip |
+//! | `number_density`, `contact_density` | the same names: particles per volume, and their contacts, each counted for either particle |
 //! | `granular_temperature` | `granular_temperature`, `Theta.particles`, `Theta.solids`, `Theta_m1` |
 //! | `solids_pressure`, `solids_stress` | the same names |
 //!
@@ -102,6 +103,9 @@ struct FieldNames {
     pressure: Option<Formula>,
     pressure_gradient: Option<Formula>,
     drag_coefficient: Option<Formula>,
+    drag: Option<Formula>,
+    number_density: Option<Formula>,
+    contact_density: Option<Formula>,
     granular_temperature: Option<Formula>,
     solids_pressure: Option<Formula>,
     solids_stress: Option<Formula>,
@@ -206,7 +210,7 @@ struct Sought {
     choices: Vec<Vec<Expression>>,
 }
 
-const FIELDS: [(&str, &[&[&str]]); 9] = [
+const FIELDS: [(&str, &[&[&str]]); 12] = [
     (
         "solids_fraction",
         &[
@@ -237,6 +241,9 @@ const FIELDS: [(&str, &[&[&str]]); 9] = [
     ("pressure_gradient", &[&["pressure_gradient"]]),
     ("pressure", &[&["pressure"], &["p"], &["P_g"]]),
     ("drag_coefficient", &[&["drag_coefficient"]]),
+    ("drag", &[&["drag"]]),
+    ("number_density", &[&["number_density"]]),
+    ("contact_density", &[&["contact_density"]]),
     (
         "granular_temperature",
         &[&["granular_temperature"], &["Theta.particles"], &["Theta.solids"], &["Theta_m1"]],
@@ -354,6 +361,9 @@ impl Map {
                 &f.pressure_gradient,
                 &f.pressure,
                 &f.drag_coefficient,
+                &f.drag,
+                &f.number_density,
+                &f.contact_density,
                 &f.granular_temperature,
                 &f.solids_pressure,
                 &f.solids_stress,
@@ -508,7 +518,8 @@ impl Map {
             };
             let (components, factor) = match sought.key {
                 "solids_velocity" | "gas_velocity" => (axes.len(), f.velocity),
-                "pressure_gradient" => (axes.len(), f.pressure / f.length),
+                "pressure_gradient" | "drag" => (axes.len(), f.pressure / f.length),
+                "number_density" | "contact_density" => (1, f.length.powi(-3)),
                 "pressure" | "solids_pressure" => (1, f.pressure),
                 "solids_stress" => (6, f.pressure),
                 "granular_temperature" => (1, f.velocity * f.velocity),
@@ -544,6 +555,15 @@ impl Map {
                 "drag_coefficient" => {
                     check_sign(&columns[0], &lattice, &finder, &label)?;
                     fields.drag_coefficient = Some(transpose(&columns[0], &axes, &lattice));
+                }
+                "drag" => fields.drag = Some(vector(columns, &label)?),
+                "number_density" => {
+                    check_sign(&columns[0], &lattice, &finder, &label)?;
+                    fields.number_density = Some(transpose(&columns[0], &axes, &lattice));
+                }
+                "contact_density" => {
+                    check_sign(&columns[0], &lattice, &finder, &label)?;
+                    fields.contact_density = Some(transpose(&columns[0], &axes, &lattice));
                 }
                 "granular_temperature" => {
                     check_sign(&columns[0], &lattice, &finder, &label)?;
@@ -1002,7 +1022,8 @@ fn check_dimensions(key: &str, found: [f64; 7]) -> Result<(), String> {
         "solids_fraction" => ([0.0, 0.0, 0.0], "a number"),
         "solids_velocity" | "gas_velocity" => ([0.0, 1.0, -1.0], "m/s"),
         "pressure" | "solids_pressure" | "solids_stress" => ([1.0, -1.0, -2.0], "Pa"),
-        "pressure_gradient" => ([1.0, -2.0, -2.0], "Pa/m"),
+        "pressure_gradient" | "drag" => ([1.0, -2.0, -2.0], "Pa/m"),
+        "number_density" | "contact_density" => ([0.0, -3.0, 0.0], "1/m³"),
         "drag_coefficient" => ([1.0, -3.0, -1.0], "kg/m³/s"),
         "granular_temperature" => ([0.0, 2.0, -2.0], "m²/s²"),
         _ => return Ok(()),

@@ -48,12 +48,13 @@ pub fn read_csv(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Piece, Res
     let names: Vec<String> = reader.headers().map_err(refuse)?.iter().map(str::to_owned).collect();
     let used: Vec<usize> = (0..names.len()).filter(|n| wanted(&names[*n])).collect();
     let mut columns = vec![Vec::new(); used.len()];
-    for (row, record) in reader.records().enumerate() {
+    for record in reader.records() {
         let record = record.map_err(refuse)?;
+        let line = record.position().map_or(0, csv::Position::line);
         for (column, n) in columns.iter_mut().zip(&used) {
             let text = &record[*n];
             column.push(text.parse().map_err(|_| {
-                let why = format!("line {}: \"{text}\" is not a number", row + 2);
+                let why = format!("line {line}: \"{text}\" is not a number");
                 ResolvedError::array(path, &names[*n], why)
             })?);
         }

@@ -64,16 +64,22 @@ pub fn named<const D: usize>(fine: &FineFields<D>) -> Vec<Named<'_>> {
     }
     let array =
         |name: &'static str, unit, components| Named { name: name.into(), unit, components };
-    vec![
+    let mut arrays = vec![
         array("solids_fraction", "-", scalar(&fine.solids_fraction)),
         array("solids_velocity", "m/s", vector(&fine.solids_velocity)),
         array("gas_velocity", "m/s", vector(&fine.gas_velocity)),
         array("pressure_gradient", "Pa/m", vector(&fine.pressure_gradient)),
         array("drag_coefficient", "kg/m³/s", scalar(&fine.drag_coefficient)),
+        array("drag", "Pa/m", vector(&fine.drag)),
         array("granular_temperature", "m²/s²", scalar(&fine.granular_temperature)),
         array("solids_pressure", "Pa", scalar(&fine.solids_pressure)),
         array("solids_stress", "Pa", stress),
-    ]
+    ];
+    if let Some(counts) = &fine.counts {
+        arrays.push(array("number_density", "1/m³", scalar(&counts.number_density)));
+        arrays.push(array("contact_density", "1/m³", scalar(&counts.contact_density)));
+    }
+    arrays
 }
 
 /// The fields as an image.

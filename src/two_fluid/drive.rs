@@ -1,27 +1,12 @@
-//! What drives the flow: a mean gas pressure gradient that balances the weight, or one that keeps
-//! the flux of the gas.
-//!
-//! The flow is seen from the frame in which the mixture has no momentum. A mean gradient G (upwards)
-//! and the weight ρ g of the mixture accelerate that frame by (G - ρ g)/ρ, so that per volume a phase
-//! of density ρ_k is left with G - ρ_k g - ρ_k (G - ρ g)/ρ = (G/ρ g) g (ρ - ρ_k): what it is left with
-//! when G balances the weight, times G over the weight. The sum over both phases vanishes whatever
-//! G is, and momentum is kept to round-off.
+//! A mean gas pressure gradient that keeps the flux of the gas, as of [`crate::drive`].
 //!
 //! A kept gas flux costs two passes over the vertical faces. A mean gradient takes no part in
 //! φ' ∂p'/∂y, the covariance by which pressure enters the filtered drag.
 
 use super::exchange::{self, Inertia};
 use super::{GHOST, TwoFluid, uniform_slip};
+use crate::drive::{GasFlux, uniform_velocities};
 use crate::real::Real;
-
-/// The gas flux that is kept, and by what.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct GasFlux {
-    /// ⟨(1-φ) u_g⟩ - ⟨1-φ⟩ ⟨φ u_s⟩/⟨φ⟩, vertical \[m/s\].
-    wanted: f64,
-    /// Mean pressure gradient over the weight.
-    pub(super) gradient: f64,
-}
 
 impl<R: Real, const D: usize> TwoFluid<R, D> {
     /// With a mean pressure gradient that keeps the superficial velocity of the gas relative to the
@@ -33,15 +18,12 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let setup = self.setup;
         let (powder, gas, up) = (&setup.powder, &setup.gas, D - 1);
         let mean = self.phi.mean();
-        let wanted = gas_flux.unwrap_or_else(|| (1.0 - mean) * uniform_slip(&setup));
-        let slip = wanted / (1.0 - mean);
-        let mixture = powder.density * mean + gas.density * (1.0 - mean);
-        self.solids[up].set(|_| R::of(-gas.density * (1.0 - mean) * slip / mixture));
-        self.gas[up].set(|_| R::of(powder.density * mean * slip / mixture));
-        let weight = (1.0 - mean) * (powder.density - gas.density) * setup.gravity;
+        let slip = gas_flux.map_or_else(|| uniform_slip(&setup), |flux| flux / (1.0 - mean));
+        let [solids, carrier] = uniform_velocities(powder, gas, mean, slip);
+        self.solids[up].set(|_| R::of(solids));
+        self.gas[up].set(|_| R::of(carrier));
         let law = setup.drag.law(gas, powder);
-        let gradient = law.beta_per_fraction(mean, slip) * slip / weight;
-        self.gas_flux = Some(GasFlux { wanted, gradient });
+        self.gas_flux = Some(GasFlux::uniform(slip, mean, &law, powder, gas, setup.gravity));
         self.find_speeds();
         self
     }
@@ -82,9 +64,7 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         );
         let [mean, solids, gas, solids_answer, gas_answer] =
             sums.map(|sum| sum / self.grid.len() as f64);
-        let relative = |solids: f64, gas: f64| gas - (1.0 - mean) / mean * solids;
-        let lacking = flux.wanted - relative(solids, gas);
-        flux.gradient += lacking / relative(solids_answer, gas_answer);
+        let lacking = flux.lacking(mean, [solids, gas], [solids_answer, gas_answer]);
         self.gas_flux = Some(flux);
         // The solids as a whole by s, the total flux everywhere by c: ρ_s φ s + ρ_g (c - φ s) = 0 in
         // the mean, ghost mass included, and c - s is what lacks.

@@ -11,9 +11,9 @@
 //! Costs three steps for one, and memory for two more states; without it a step costs what it costs
 //! without this file.
 
-use super::drive::GasFlux;
 use super::sweep::Fastest;
 use super::{GHOST, Limit, PACKED, StepError, StepReport, TwoFluid};
+use crate::drive::GasFlux;
 use crate::field::{Faces, Field, Layout};
 use crate::real::Real;
 use crate::rows::{cut, simd};

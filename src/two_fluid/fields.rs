@@ -62,7 +62,13 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
             let outputs = [&mut *pressure, &mut viscosity, &mut bulk];
             contact.seen(outputs, *theory, phi, theta, beta);
             dilate_row(pressure, &bulk, &divergence);
-            product_row(&mut fine.drag_coefficient[cells.clone()], phi, beta);
+            let coefficient = &mut fine.drag_coefficient[cells.clone()];
+            product_row(coefficient, phi, beta);
+            for a in 0..D {
+                let velocities = [&fine.solids_velocity[a], &fine.gas_velocity[a]];
+                let [solids, gas] = velocities.map(|u| &u[cells.clone()]);
+                drag_row(&mut fine.drag[a][cells.clone()], coefficient, solids, gas);
+            }
             if contact.rubs() {
                 for i in 0..n {
                     let square: f64 = (0..D)
@@ -112,6 +118,17 @@ simd! {
     fn slip_row[](squared: &mut [f64], solids: &[f64], gas: &[f64]) {
         for (squared, (solids, gas)) in squared.iter_mut().zip(solids.iter().zip(gas)) {
             *squared += (gas - solids) * (gas - solids);
+        }
+    }
+}
+
+simd! {
+    /// f = β (u_g - u_s) of one direction.
+    fn drag_row[](drag: &mut [f64], beta: &[f64], solids: &[f64], gas: &[f64]) {
+        let n = drag.len();
+        let (beta, solids, gas) = (&beta[..n], &solids[..n], &gas[..n]);
+        for i in 0..n {
+            drag[i] = beta[i] * (gas[i] - solids[i]);
         }
     }
 }

@@ -2,7 +2,7 @@
 //! what must not change.
 
 use super::{Checked, Effort, Expected, Row};
-use crate::case::{DragChoice, MappingChoice};
+use crate::case::{DragChoice, Drive, MappingChoice, MixtureChoice};
 use crate::cfd_dem::{CfdDem, Setup};
 use crate::dem::{Sphere, lattice};
 use crate::grid::Grid;
@@ -18,7 +18,10 @@ fn setup(drag: DragChoice, mapping: MappingChoice, solids_fraction: f64) -> Setu
         gas,
         gravity,
         drag,
+        mixture: MixtureChoice::OwnDiameter,
         gas_inertia: true,
+        gas_stress: false,
+        drive: Drive::PressureGradient,
         solids_fraction,
         contact: Contact {
             stiffness: 3.5,
@@ -26,6 +29,7 @@ fn setup(drag: DragChoice, mapping: MappingChoice, solids_fraction: f64) -> Setu
             tangential_stiffness: 2.0 / 7.0,
             tangential_damping: 0.5,
             friction: 0.3,
+            cohesion: 0.0,
         },
         steps_per_contact: 25.0,
         mapping,

@@ -3,7 +3,9 @@
 
 use super::{Checked, Effort, Expected, Row};
 use crate::dem::{Dem, Quad, SKIN, Setup, Sphere, packed, thermal};
-use crate::laws::contact::{Contact, contact_time, normal_impulse, sticking_restitution};
+use crate::laws::contact::{
+    Contact, contact_time, normal_impulse, separation_energy, sticking_restitution, sticking_speed,
+};
 use std::error::Error;
 use std::f64::consts::PI;
 
@@ -21,6 +23,7 @@ fn law(restitution: f64, friction: f64) -> Contact {
         tangential_stiffness: 2.0 / 7.0,
         tangential_damping: 0.5,
         friction,
+        cohesion: 0.0,
     }
 }
 
@@ -38,6 +41,7 @@ fn sphere(position: [f64; 3], velocity: [f64; 3]) -> Sphere {
 
 pub(super) fn check(effort: Effort) -> Checked {
     let mut rows = impacts()?;
+    rows.extend(cohesion()?);
     rows.push(slid_to_rest()?);
     rows.push(rolling()?);
     rows.extend(budgets(effort)?);
@@ -75,6 +79,64 @@ fn impact(law: Contact, approach: f64, past: f64, phase: f64) -> Result<[f64; 3]
         }
     }
     Err("two spheres did not part".into())
+}
+
+/// Whether two spheres that cohere part, which overlap by `overlap` and fly apart at `speed`.
+fn part(law: Contact, overlap: f64, speed: f64) -> Result<bool, Box<dyn Error>> {
+    let (size, gap) = (8.0 * DIAMETER, DIAMETER - overlap);
+    let half = [0.5 * size; 3];
+    let [mut a, mut b] =
+        [sphere(half, [-0.5 * speed, 0.0, 0.0]), sphere(half, [0.5 * speed, 0.0, 0.0])];
+    (a.position[0], b.position[0]) = (half[0] - 0.5 * gap, half[0] + 0.5 * gap);
+    let mut dem = Dem::new(setup(size, law), &[a, b])?;
+    let time = contact_time(law.stiffness, law.restitution, 0.5 * mass());
+    let mut touched = false;
+    for _ in 0..(4.0 * time / dem.time_step()) as u64 {
+        dem.run(1)?;
+        touched |= dem.touching() > 0;
+        if touched && dem.touching() == 0 {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
+/// What parts two spheres that cohere, from rest and on impact.
+fn cohesion() -> Result<Vec<Row>, Box<dyn Error>> {
+    let force = 0.002 * STIFFNESS * DIAMETER;
+    let rest = force / STIFFNESS;
+    let law = |e| Contact { cohesion: 4.0 * force / DIAMETER, ..law(e, 0.3) };
+    // Least share of `speed` at which they part, to a thousandth.
+    let least = |law: Contact, overlap: f64, speed: f64| -> Result<f64, Box<dyn Error>> {
+        let (mut held, mut free) = (0.5, 1.5);
+        for _ in 0..10 {
+            let middle = 0.5 * (held + free);
+            let parts = part(law, overlap, middle * speed)?;
+            *(if parts { &mut free } else { &mut held }) = middle;
+        }
+        Ok(0.5 * (held + free))
+    };
+    let energy = separation_energy(STIFFNESS, force);
+    let mut rows = vec![
+        Row::new(
+            "spheres that cohere: energy that parts two from rest, over F_c²/(2 k_n)",
+            Expected::Near { value: 1.0, within: 0.02 },
+            least(law(1.0), rest, (4.0 * energy / mass()).sqrt())?.powi(2),
+        )
+        .with("work of spring and pull"),
+    ];
+    for e in [0.6, 0.9] {
+        let speed = sticking_speed(STIFFNESS, e, 0.5 * mass(), force);
+        rows.push(
+            Row::new(
+                format!("spheres that cohere, e = {e}: speed up to which they stick, over theory"),
+                Expected::Near { value: 1.0, within: 0.03 },
+                least(law(e), -0.1 * rest, -speed)?,
+            )
+            .with("the damped oscillator that comes to rest where they would part"),
+        );
+    }
+    Ok(rows)
 }
 
 fn impacts() -> Result<Vec<Row>, Box<dyn Error>> {
