@@ -47,8 +47,8 @@ const PATIENCE: usize = 6;
 /// K-cycles from whose rate the iterations that are left are estimated.
 const TRIAL: usize = 6;
 
-/// More iterations left than this are not waited for: an elimination costs as much as fifty K-cycles to
-/// make, and then takes about forty iterations.
+/// More iterations left than this are not waited for: a step of the simulators allows itself no more. An
+/// elimination costs as much as eighty K-cycles to make, and then takes about forty iterations.
 const TOO_MANY: f64 = 60.0;
 
 /// Most that a coarse solution is too small by.
