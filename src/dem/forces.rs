@@ -209,7 +209,9 @@ simd! {
             let push = share * (less_pull(law.stiffness * squeezed) + dashpot * approach)
                 / (1.0 + share * centred);
             *springs += less_pull(0.5 * spring) * overlap;
-            *lost += (push - less_pull(spring)) * (approach - 0.5 * dt * push * lighter) * dt;
+            // The pull does work over the part of the step in which they touch.
+            let stored = if COHESIVE { spring - share * pull } else { spring };
+            *lost += (push - stored) * (approach - 0.5 * dt * push * lighter) * dt;
 
             let mut force = normal.map(|n| push * n);
             let mut stretched = [0.0; 3];
