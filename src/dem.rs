@@ -16,8 +16,9 @@
 //! rebuild of the pairs (`pairs.rs`). The box is cut into an even number of slabs along the last axis,
 //! each at least as thick as pairs are long; a slab owns the pairs that reach within it and up into
 //! the next. Threads do every other slab, then the rest, so that no two of them add to one particle,
-//! and the order of all sums is that of the slabs, whatever the number of threads. Where particles are few, and for some steps
-//! meet none but a few neighbours, they make those steps without a look at the others (`rounds.rs`).
+//! and the order of all sums is that of the slabs, whatever the number of threads. Where particles are
+//! few, and for some steps meet none but a few neighbours, they make those steps without a look at the
+//! others (`rounds.rs`).
 //!
 //! Left out: rolling resistance, walls. A sphere of infinite density is held: it stays at its
 //! velocity.
@@ -76,8 +77,8 @@ pub struct Setup {
     pub contact: Contact,
     /// Steps in the shortest contact, π sqrt(m*/k_n) of the two lightest spheres; 50 is usual, 20 the least \[-\].
     pub steps_per_contact: f64,
-    /// How much farther than touching pairs are looked for at least, in diameters of the largest sphere: more
-    /// makes more pairs and fewer rebuilds, and does not change what is computed beyond the order
+    /// How much farther than touching pairs are looked for at least, in diameters of the largest sphere:
+    /// more makes more pairs and fewer rebuilds, and does not change what is computed beyond the order
     /// of sums. In a dilute box it is more \[-\].
     pub skin: f64,
     /// Whether the threads of the current pool share a step.

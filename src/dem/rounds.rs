@@ -2,16 +2,17 @@
 //!
 //! Until near pairs are listed anew, particles that no chain of near pairs joins do not meet. In a dilute
 //! box most have no near pair: they fly, several at a time in registers, a whole round. The others make
-//! small clusters. Those whose highest particle lies in one slab are a group: a group is gathered to where it
-//! lies close together, stepped there without a look at the rest, and brought back.
+//! small clusters. Those whose highest particle lies in one slab are a group: a group is gathered to where
+//! it lies close together, stepped there without a look at the rest, and brought back.
 //!
-//! A round is no longer than pairs stay as they are listed. Before it, the speeds so far and what drives may add
-//! to them say how many steps those are at least; contacts may make clusters faster than that, so groups
-//! go first, and if one was, they go again for fewer steps, before anything else has moved. The steps at which pairs are
-//! listed, a step fails, or a sum begins are those of steps made one by one, whatever the rounds.
+//! A round is no longer than pairs stay as they are listed. Before it, the speeds so far and what drives
+//! may add to them say how many steps those are at least. Contacts may make clusters faster than that, so
+//! groups go first, and if one was, they go again for fewer steps, before anything else has moved. The
+//! steps at which pairs are listed or a run fails are those of steps made one by one, and so are the bits
+//! of every particle.
 //!
-//! Where particles lie dense, clusters join throughout the box. Then steps are made one by one, slab by slab
-//! (`forces.rs`), until near pairs are listed next. Forces on a particle are added up in the same order either way.
+//! Where particles lie dense, clusters join throughout the box. Then steps are made one by one, slab by
+//! slab (`forces.rs`), until near pairs are listed next.
 
 use super::forces::{Loads, Scene, among};
 use super::motion::{Bodies, CHUNK, Damped, SIGN, advance, finish};
@@ -22,9 +23,10 @@ use crate::rows::{join, simd};
 /// Most steps in a round.
 const LONGEST: usize = 64;
 
-/// Most particles with a near pair, over all, and most in one group, over half of all or those with a near pair:
-/// where there are more, steps are made one by one \[-\].
+/// Most particles with a near pair, over all: where there are more, steps are made one by one \[-\].
 const CHAINED: f64 = 0.5;
+
+/// Most particles in one group, over [`CHAINED`] of all: threads share groups out \[-\].
 const LARGEST: f64 = 0.125;
 
 /// Slot of a particle without a near pair.
@@ -632,7 +634,7 @@ impl Dem {
             all[members.slabs[root as usize] as usize].share.begin += 1;
         }
         let largest = all.iter().map(|group| group.share.begin).max().unwrap_or(0);
-        groups.apart = count <= most && largest as f64 <= LARGEST * most.max(count) as f64;
+        groups.apart = count <= most && largest as f64 <= LARGEST * most as f64;
         if !groups.apart {
             places.copy_from_slice(&members.places);
             return;
@@ -690,9 +692,9 @@ impl Dem {
         fit(&mut groups.touched, count + images);
     }
 
-    /// As much of a `round` as is certain: all its contacts are between near pairs as listed, and no drift but
-    /// perhaps the last is too long. `made`, if groups have made it: if not, they are taken to be no faster than
-    /// what flies.
+    /// As much of a `round` as is certain: all its contacts are between near pairs as listed, and no drift
+    /// but perhaps the last is too long. `made`, if groups have made it: if not, they are taken to be no
+    /// faster than what flies.
     fn certain(&self, round: Round, made: bool) -> Round {
         let gain = self.gain();
         let all = &self.groups.all[..if made { self.groups.all.len() } else { 0 }];
