@@ -268,11 +268,15 @@ mod tests {
 
     /// Every law in `R`, its name first.
     fn laws<R: Real>() -> [(&'static str, Box<dyn DragLaw<R>>); 4] {
+        laws_of(&POWDER)
+    }
+
+    fn laws_of<R: Real>(powder: &Powder) -> [(&'static str, Box<dyn DragLaw<R>>); 4] {
         [
-            ("Wen-Yu", Box::new(WenYu::new(&GAS, &POWDER))),
-            ("Gidaspow", Box::new(Gidaspow::new(&GAS, &POWDER))),
-            ("Beetstra", Box::new(Beetstra::new(&GAS, &POWDER))),
-            ("Tenneti", Box::new(Tenneti::new(&GAS, &POWDER))),
+            ("Wen-Yu", Box::new(WenYu::new(&GAS, powder))),
+            ("Gidaspow", Box::new(Gidaspow::new(&GAS, powder))),
+            ("Beetstra", Box::new(Beetstra::new(&GAS, powder))),
+            ("Tenneti", Box::new(Tenneti::new(&GAS, powder))),
         ]
     }
 
@@ -410,13 +414,7 @@ mod tests {
     fn a_sphere_of_a_mixture_has_the_law_of_its_own_diameter() {
         let ratio = 1.7;
         let other = Powder { diameter: ratio * POWDER.diameter, ..POWDER };
-        let pairs: [(Box<dyn DragLaw<f64>>, Box<dyn DragLaw<f64>>); 4] = [
-            (Box::new(WenYu::new(&GAS, &POWDER)), Box::new(WenYu::new(&GAS, &other))),
-            (Box::new(Gidaspow::new(&GAS, &POWDER)), Box::new(Gidaspow::new(&GAS, &other))),
-            (Box::new(Beetstra::new(&GAS, &POWDER)), Box::new(Beetstra::new(&GAS, &other))),
-            (Box::new(Tenneti::new(&GAS, &POWDER)), Box::new(Tenneti::new(&GAS, &other))),
-        ];
-        for (law, own) in pairs {
+        for ((_, law), (_, own)) in laws::<f64>().into_iter().zip(laws_of::<f64>(&other)) {
             let mixture = OwnDiameter(law);
             for (phi, u) in [(0.0, 0.3), (0.1, 0.05), (0.45, 2.0)] {
                 let (found, expected) =

@@ -367,7 +367,10 @@ mod tests {
             let text: String = lines.clone().map(|(a, b)| format!("{a} {b}\n")).collect();
             let (found, _) = read(&text).unwrap();
             for (i, (a, b)) in lines.enumerate() {
-                assert_eq!([found[0][i], found[1][i]], [a.parse().unwrap(), b.parse().unwrap()]);
+                assert_eq!(
+                    [found[0][i], found[1][i]],
+                    [a.parse::<f64>().unwrap(), b.parse().unwrap()]
+                );
             }
         }
     }
