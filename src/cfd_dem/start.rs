@@ -197,7 +197,10 @@ mod tests {
         assert!(none.contains("one at least"), "{none}");
     }
 
+    /// What is wrong, and why.
     fn spheres_error(fraction: f64, start: &ParticlesStart) -> String {
-        super::spheres(&grid([8, 8, 16]), &setup(fraction), start).unwrap_err().to_string()
+        let error = super::spheres(&grid([8, 8, 16]), &setup(fraction), start).unwrap_err();
+        let why = std::error::Error::source(&error).map(ToString::to_string).unwrap_or_default();
+        format!("{error}: {why}")
     }
 }
