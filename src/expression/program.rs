@@ -54,8 +54,6 @@ enum Kind {
     Log2(usize),
     /// a^b from a, b and log₂ a.
     Power(usize, usize, usize),
-    /// A logarithm of a, from a and log₂ a.
-    Logarithm(Function, usize, usize),
     /// a + Σ c_k x_k, left to right, every product and sum rounded as if it were on its own.
     Sum(usize, Vec<(f64, usize)>),
     Select(Vec<Arm>, Block),
@@ -71,7 +69,7 @@ impl Kind {
             | Self::Square(a)
             | Self::Cube(a)
             | Self::Log2(a) => see(a),
-            Self::Binary(_, a, b) | Self::Two(_, a, b) | Self::Logarithm(_, a, b) => {
+            Self::Binary(_, a, b) | Self::Two(_, a, b) => {
                 [a, b].into_iter().for_each(see);
             }
             Self::Power(a, b, c) => [a, b, c].into_iter().for_each(see),
@@ -360,15 +358,13 @@ impl Program {
                 Kind::Cube(a) => each_of_one(out, register(a), |a| a * a * a),
                 Kind::Log2(a) => logarithms(register(a), out),
                 Kind::Power(a, b, log) => powers(register(a), register(b), register(log), out),
-                Kind::Logarithm(function, a, log) => {
-                    scaled(*function, register(a), register(log), out);
-                }
                 Kind::Sum(first, terms) => sum(out, register(first), terms, before, width),
                 // By name: a choice outside the loop.
                 Kind::One(function, a) => match function {
                     Function::Exp => exponentials(register(a), out),
                     Function::Sqrt => each_of_one(out, register(a), f64::sqrt),
                     Function::Abs => each_of_one(out, register(a), f64::abs),
+                    // Logarithms are the library's, to the last digit: of a spline's terms in one little is left.
                     function => each_of_one(out, register(a), |a| function.of_one(a)),
                 },
                 Kind::Two(function, a, b) => {
@@ -528,18 +524,6 @@ fn exponentials(a: &[f64], out: &mut [f64]) {
     }
 }
 
-/// The logarithm `function` of a, where `log` is log₂ a.
-fn scaled(function: Function, a: &[f64], log: &[f64], out: &mut [f64]) {
-    let factor = match function {
-        Function::Log10 => std::f64::consts::LOG10_2,
-        _ => std::f64::consts::LN_2,
-    };
-    each_of_one(out, log, |log| factor * log);
-    for (out, a) in out.iter_mut().zip(a).filter(|(out, _)| out.is_nan()) {
-        *out = function.of_one(*a);
-    }
-}
-
 simd! {
     /// `out` = `operate`(a), element by element.
     fn each_of_one[F: Fn(f64) -> f64](out: &mut [f64], a: &[f64], operate: F) {
@@ -613,14 +597,8 @@ impl<'a> Compiler<'a> {
                     return Ok(match self.values.get(&result) {
                         Some(value) => self.constant(function.of_one(*value)),
                         None => {
-                            let kind = match function {
-                                Function::Ln | Function::Log10 => {
-                                    let log = self.log2(result, block);
-                                    Kind::Logarithm(*function, result, log)
-                                }
-                                function => Kind::One(*function, result),
-                            };
-                            self.operation(Key::One(*function, result), kind, block)
+                            let key = Key::One(*function, result);
+                            self.operation(key, Kind::One(*function, result), block)
                         }
                     });
                 }
