@@ -195,9 +195,9 @@ pub enum Diameters {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MixtureChoice {
-    /// [`OwnDiameter`](crate::laws::drag::OwnDiameter).
+    /// [`OwnDiameter`].
     OwnDiameter,
-    /// [`VanDerHoef`](crate::laws::drag::VanDerHoef).
+    /// [`VanDerHoef`].
     VanDerHoef,
 }
 
