@@ -23,6 +23,7 @@
 //! Left out: rolling resistance, walls. A sphere of infinite density is held: it stays at its
 //! velocity.
 
+mod bodies;
 mod forces;
 mod motion;
 mod pairs;
@@ -36,6 +37,7 @@ pub use state::StateError;
 pub(crate) use state::{take, take_f64};
 
 use crate::laws::contact::{Contact, TANGENTIAL_MOBILITY};
+use bodies::Particles;
 use pairs::{Cells, Slab};
 use std::f64::consts::PI;
 
@@ -233,22 +235,9 @@ pub struct Dem {
     smallest: f64,
     /// Number of each particle, by place in memory.
     ids: Vec<u32>,
-    /// Centre and radius.
-    positions: Vec<Quad>,
-    /// Velocity and 1/m.
-    velocities: Vec<Quad>,
-    /// Angular velocity and 1/I.
-    spins: Vec<Quad>,
-    /// Acceleration and rate from outside; empty if there is none.
-    drives: Vec<Quad>,
-    /// Whether one of them has a rate.
+    particles: Particles,
+    /// Whether a drive has a rate.
     damped: bool,
-    /// Contact forces, and beyond the particles those on the first slab's images above the last.
-    forces: Vec<Quad>,
-    /// Contact torques, likewise.
-    torques: Vec<Quad>,
-    /// Whether a contact has added to a force and torque, likewise; where none has, they are zero.
-    touched: Vec<bool>,
     cells: Cells,
     slabs: Vec<Slab>,
     /// Way that the fastest particle may have gone since the pairs, and since the near ones, were listed.
@@ -288,6 +277,19 @@ impl Dem {
         let Contact { stiffness, tangential_stiffness, .. } = setup.contact;
         let stiffest = stiffness * (TANGENTIAL_MOBILITY * tangential_stiffness).max(1.0);
         let cells = Cells::new(setup.size, largest, setup.skin, spheres.len());
+        let none = || vec![Quad::default(); spheres.len()];
+        let particles = Particles {
+            positions: spheres.iter().map(|s| quad(s.position, 0.5 * s.diameter)).collect(),
+            velocities: spheres.iter().map(|s| quad(s.velocity, 1.0 / mass(s))).collect(),
+            spins: spheres
+                .iter()
+                .map(|s| quad(s.spin, 10.0 / (mass(s) * s.diameter.powi(2))))
+                .collect(),
+            drives: Vec::new(),
+            forces: none(),
+            torques: none(),
+            touched: vec![false; spheres.len()],
+        };
         let mut dem = Self {
             dt: if effective.is_finite() {
                 PI * (effective / stiffest).sqrt() / setup.steps_per_contact
@@ -298,17 +300,8 @@ impl Dem {
             steps: 0,
             smallest,
             ids: (0..spheres.len() as u32).collect(),
-            positions: spheres.iter().map(|s| quad(s.position, 0.5 * s.diameter)).collect(),
-            velocities: spheres.iter().map(|s| quad(s.velocity, 1.0 / mass(s))).collect(),
-            spins: spheres
-                .iter()
-                .map(|s| quad(s.spin, 10.0 / (mass(s) * s.diameter.powi(2))))
-                .collect(),
-            drives: Vec::new(),
+            particles,
             damped: false,
-            forces: vec![Quad::default(); spheres.len()],
-            torques: vec![Quad::default(); spheres.len()],
-            touched: vec![false; spheres.len()],
             slabs: vec![Slab::default(); cells.number[2]],
             cells,
             travelled: [0.0; 2],
@@ -422,7 +415,7 @@ impl Dem {
         // Numbers above 0 are ordered as their bits are, and what is not a number is above all.
         let mut most = [0u64; 4];
         let (mut damped, mut negative) = (false, false);
-        for Quad(drive) in &self.drives {
+        for Quad(drive) in &self.particles.drives {
             for n in 0..4 {
                 most[n] = most[n].max(drive[n].to_bits() & (u64::MAX >> 1));
             }
@@ -450,7 +443,7 @@ impl Dem {
             let square = (x - u).powi(2) + (y - v).powi(2) + (z - w).powi(2);
             square.to_bits() & (u64::MAX >> 1)
         };
-        f64::from_bits(self.velocities.iter().map(square).fold(0, u64::max)).sqrt()
+        f64::from_bits(self.particles.velocities.iter().map(square).fold(0, u64::max)).sqrt()
     }
 
     /// Number of spheres.
@@ -496,35 +489,35 @@ impl Dem {
     /// Centre \[m\] and radius \[m\] of each particle, by place in memory. A centre may lie outside the box,
     /// by less than half the skin.
     pub fn positions(&self) -> &[Quad] {
-        &self.positions
+        &self.particles.positions
     }
 
     /// Velocity \[m/s\] and one over mass \[1/kg\] of each particle, by place in memory.
     pub fn velocities(&self) -> &[Quad] {
-        &self.velocities
+        &self.particles.velocities
     }
 
     /// Angular velocity \[1/s\] and one over moment of inertia \[1/(kg m²)\] of each particle, by place in memory.
     pub fn spins(&self) -> &[Quad] {
-        &self.spins
+        &self.particles.spins
     }
 
     /// Contact force on each particle \[N\], by place in memory; the fourth number is 0.
     pub fn forces(&self) -> &[Quad] {
-        &self.forces[..self.len()]
+        &self.particles.forces[..self.len()]
     }
 
     /// What pulls at each particle from outside, by place in memory: the acceleration a \[m/s²\] and the
     /// rate λ \[1/s\] in dv/dt = a - λ v. λ acts implicitly. They stay with the particles until they are
     /// given anew; a box without them does not pay for them.
     pub fn drives_mut(&mut self) -> &mut [Quad] {
-        self.drives.resize(self.ids.len(), Quad::default());
-        &mut self.drives
+        self.particles.drives.resize(self.ids.len(), Quad::default());
+        &mut self.particles.drives
     }
 
     /// [`Dem::drives_mut`], to be looked at; empty if there never were any.
     pub fn drives(&self) -> &[Quad] {
-        &self.drives
+        &self.particles.drives
     }
 
     /// The contacts of the last step, if [`Dem::run_seen`] made it.
@@ -553,12 +546,12 @@ impl Dem {
         };
         let mut spheres = vec![blank; self.len()];
         for (place, &id) in self.ids.iter().enumerate() {
-            let Quad([.., radius]) = self.positions[place];
-            let Quad([.., inverse]) = self.velocities[place];
+            let Quad([.., radius]) = self.particles.positions[place];
+            let Quad([.., inverse]) = self.particles.velocities[place];
             spheres[id as usize] = Sphere {
-                position: pairs::wrapped(self.positions[place].vector(), self.setup.size),
-                velocity: self.velocities[place].vector(),
-                spin: self.spins[place].vector(),
+                position: pairs::wrapped(self.particles.positions[place].vector(), self.setup.size),
+                velocity: self.particles.velocities[place].vector(),
+                spin: self.particles.spins[place].vector(),
                 diameter: 2.0 * radius,
                 density: 0.75 / (PI * radius.powi(3) * inverse),
             };
@@ -569,7 +562,7 @@ impl Dem {
     /// Momentum of all spheres that are not held \[kg m/s\].
     pub fn momentum(&self) -> [f64; 3] {
         let mut sum = [0.0; 3];
-        for Quad([vx, vy, vz, inverse]) in &self.velocities {
+        for Quad([vx, vy, vz, inverse]) in &self.particles.velocities {
             if *inverse > 0.0 {
                 sum = [sum[0] + vx / inverse, sum[1] + vy / inverse, sum[2] + vz / inverse];
             }
@@ -579,7 +572,7 @@ impl Dem {
 
     /// Granular temperature T = ⟨m (v - u)²⟩/(3 ⟨m⟩), u the mean velocity by mass \[m²/s²\].
     pub fn temperature(&self) -> f64 {
-        let moving = || self.velocities.iter().filter(|velocity| velocity.0[3] > 0.0);
+        let moving = || self.particles.velocities.iter().filter(|velocity| velocity.0[3] > 0.0);
         let mass: f64 = moving().map(|velocity| 1.0 / velocity.0[3]).sum();
         let mean = self.momentum().map(|momentum| momentum / mass);
         let sum: f64 = moving()
@@ -598,8 +591,8 @@ impl Dem {
             moving.map(|quad| 0.5 * square(quad) / quad.0[3]).sum()
         };
         Energy {
-            translation: sum(&self.velocities),
-            rotation: sum(&self.spins),
+            translation: sum(&self.particles.velocities),
+            rotation: sum(&self.particles.spins),
             springs: self.shares().map(|share| share.springs).sum(),
             lost: self.lost,
         }
@@ -607,19 +600,9 @@ impl Dem {
 
     /// Memory that the spheres take \[bytes\].
     pub fn memory(&self) -> usize {
-        let quads = [
-            &self.positions,
-            &self.velocities,
-            &self.spins,
-            &self.drives,
-            &self.forces,
-            &self.torques,
-        ];
-        let quads: usize = quads.map(|quads| quads.capacity() * size_of::<Quad>()).iter().sum();
         let slabs: usize = self.slabs.iter().map(Slab::memory).sum();
-        quads
+        self.particles.memory()
             + self.ids.capacity() * size_of::<u32>()
-            + self.touched.capacity()
             + slabs
             + self.scratch.memory()
             + self.groups.memory()
@@ -634,7 +617,7 @@ impl Dem {
         };
         let time = self.time;
         let (mut fastest, mut place) = (0.0, 0);
-        for (at, velocity) in self.velocities.iter().enumerate() {
+        for (at, velocity) in self.particles.velocities.iter().enumerate() {
             let speed = speed(velocity);
             if !speed.is_finite() {
                 return StepError::NotFinite { particle: self.ids[at], time };

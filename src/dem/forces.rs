@@ -1,5 +1,6 @@
 //! Forces of the contacts.
 
+use super::bodies::Bodies;
 use super::pairs::{IMAGES, Near, Slab, Touch, between};
 use super::{Dem, Quad, Seen, Setup};
 use crate::laws::contact::{Contact, TANGENTIAL_MOBILITY, damping, pull};
@@ -21,22 +22,24 @@ pub(super) struct Scene<'a> {
 }
 
 impl<'a> Scene<'a> {
-    /// Particles of a box of this `setup`, stepped by `dt`.
+    /// Particles of a box of this `setup`, stepped by `dt`, and what their contacts add to.
     pub(super) fn new(
-        [positions, velocities, spins]: [&'a [Quad]; 3],
+        bodies: Bodies<'a>,
         images: &'a [Quad; IMAGES],
         setup: &Setup,
         dt: f64,
-    ) -> Self {
-        Self { positions, velocities, spins, images, law: setup.contact, dt }
+    ) -> (Self, Loads<'a>) {
+        let Bodies { positions, velocities, spins, forces, torques, touched, .. } = bodies;
+        let law = setup.contact;
+        (Self { positions, velocities, spins, images, law, dt }, Loads { forces, torques, touched })
     }
 }
 
 /// What contacts add to, of a stretch of the particles.
 pub(super) struct Loads<'a> {
-    pub(super) forces: &'a mut [Quad],
-    pub(super) torques: &'a mut [Quad],
-    pub(super) touched: &'a mut [bool],
+    forces: &'a mut [Quad],
+    torques: &'a mut [Quad],
+    touched: &'a mut [bool],
 }
 
 impl<'a> Loads<'a> {
@@ -293,14 +296,11 @@ impl Dem {
 
     fn contacts_of<const SEEN: bool, const COHESIVE: bool>(&mut self) -> f64 {
         let images = self.cells.images();
-        let bodies = [&self.positions[..], &self.velocities, &self.spins];
-        let scene = Scene::new(bodies, &images, &self.setup, self.dt);
-        let parallel = self.setup.parallel;
-        let mut loads = Loads {
-            forces: &mut self.forces,
-            torques: &mut self.torques,
-            touched: &mut self.touched,
-        };
+        let bodies = self.particles.bodies();
+        let len = bodies.positions.len();
+        let (setup, dt) = (&self.setup, self.dt);
+        let parallel = setup.parallel;
+        let (scene, mut loads) = Scene::new(bodies, &images, setup, dt);
         every_other::<SEEN, COHESIVE>(parallel, scene, &mut self.slabs, 0, loads.from(0));
         if let [_, slabs @ ..] = &mut self.slabs[..]
             && let Some(Slab { begin, .. }) = slabs.first()
@@ -308,7 +308,7 @@ impl Dem {
             let begin = *begin;
             every_other::<SEEN, COHESIVE>(parallel, scene, slabs, begin, loads.from(begin));
         }
-        loads.gather(self.positions.len());
+        loads.gather(len);
         let mut deepest = 0.0f64;
         for slab in &self.slabs {
             self.lost += slab.lost;

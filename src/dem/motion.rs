@@ -1,47 +1,11 @@
 //! Kicks and drifts: the motion of each particle between two looks at its contacts.
 
+use super::bodies::Bodies;
 use super::{Dem, Quad};
 use crate::rows::{join, simd};
 
 /// Particles that a thread moves at a time.
 pub(super) const CHUNK: usize = 2048;
-
-/// A stretch of the particles.
-pub(super) struct Bodies<'a> {
-    pub(super) positions: &'a mut [Quad],
-    pub(super) velocities: &'a mut [Quad],
-    pub(super) spins: &'a mut [Quad],
-    pub(super) forces: &'a mut [Quad],
-    pub(super) torques: &'a mut [Quad],
-    pub(super) touched: &'a mut [bool],
-    /// As long as the others, or empty.
-    pub(super) drives: &'a [Quad],
-}
-
-impl Bodies<'_> {
-    /// Two parts, the first whole chunks.
-    pub(super) fn halves(self) -> (Self, Self) {
-        let at = (self.positions.len() / 2).next_multiple_of(CHUNK);
-        let (positions, positions2) = self.positions.split_at_mut(at);
-        let (velocities, velocities2) = self.velocities.split_at_mut(at);
-        let (spins, spins2) = self.spins.split_at_mut(at);
-        let (forces, forces2) = self.forces.split_at_mut(at);
-        let (torques, torques2) = self.torques.split_at_mut(at);
-        let (touched, touched2) = self.touched.split_at_mut(at);
-        let (drives, drives2) = self.drives.split_at(at.min(self.drives.len()));
-        let first = Self { positions, velocities, spins, forces, torques, touched, drives };
-        let second = Self {
-            positions: positions2,
-            velocities: velocities2,
-            spins: spins2,
-            forces: forces2,
-            torques: torques2,
-            touched: touched2,
-            drives: drives2,
-        };
-        (first, second)
-    }
-}
 
 /// Whether a drive has a rate: a kernel for each answer.
 #[derive(Clone, Copy)]
@@ -162,7 +126,7 @@ fn advance_all<const DAMPED: bool>(
     damped: Damped<DAMPED>,
 ) -> u64 {
     if bodies.positions.len() > CHUNK {
-        let (first, second) = bodies.halves();
+        let (first, second) = bodies.halves(CHUNK);
         let (first, second) = join(
             parallel,
             || advance_all(parallel, first, kicks, dt, frame, damped),
@@ -181,7 +145,7 @@ fn advance_all<const DAMPED: bool>(
 /// [`finish`] for all, in parts.
 fn finish_all(parallel: bool, bodies: Bodies, dt: f64) {
     if bodies.positions.len() > CHUNK {
-        let (first, second) = bodies.halves();
+        let (first, second) = bodies.halves(CHUNK);
         join(parallel, || finish_all(parallel, first, dt), || finish_all(parallel, second, dt));
         return;
     }
@@ -189,27 +153,14 @@ fn finish_all(parallel: bool, bodies: Bodies, dt: f64) {
 }
 
 impl Dem {
-    pub(super) fn bodies(&mut self) -> Bodies<'_> {
-        let len = self.positions.len();
-        Bodies {
-            positions: &mut self.positions,
-            velocities: &mut self.velocities,
-            spins: &mut self.spins,
-            forces: &mut self.forces[..len],
-            torques: &mut self.torques[..len],
-            touched: &mut self.touched[..len],
-            drives: &self.drives,
-        }
-    }
-
     /// Kicks by as many half steps, moves all by a whole one and takes the forces off. Returns the
     /// largest speed against the frame, not a number if one is not \[m/s\].
     pub(super) fn kick_and_drift(&mut self, kicks: usize) -> f64 {
         let (parallel, dt, frame) = (self.setup.parallel, self.dt, self.frame);
         let square = if self.damped {
-            advance_all(parallel, self.bodies(), kicks, dt, frame, Damped::<true>)
+            advance_all(parallel, self.particles.bodies(), kicks, dt, frame, Damped::<true>)
         } else {
-            advance_all(parallel, self.bodies(), kicks, dt, frame, Damped::<false>)
+            advance_all(parallel, self.particles.bodies(), kicks, dt, frame, Damped::<false>)
         };
         f64::from_bits(square).sqrt()
     }
@@ -217,6 +168,6 @@ impl Dem {
     /// Kicks by half a step: velocities are then those of the time that positions and forces are of.
     pub(super) fn kick(&mut self) {
         let (parallel, dt) = (self.setup.parallel, self.dt);
-        finish_all(parallel, self.bodies(), dt);
+        finish_all(parallel, self.particles.bodies(), dt);
     }
 }

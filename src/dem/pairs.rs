@@ -6,6 +6,7 @@
 //! until the fastest could have closed the gap. A contact is known by its pair, and is carried over when
 //! the pairs are listed anew.
 
+use super::bodies::Particles;
 use super::{Dem, Quad, Seen};
 use crate::rows::each_chunk;
 use std::f64::consts::PI;
@@ -344,7 +345,8 @@ impl Dem {
         let parallel = self.setup.parallel;
         self.part();
         self.sort();
-        let Self { cells, positions, velocities, slabs, .. } = self;
+        let Self { cells, particles, slabs, .. } = self;
+        let Particles { positions, velocities, forces, torques, touched, .. } = particles;
         let layer = cells.number[0] * cells.number[1];
         let search = Search { images: cells.images(), cells, positions, velocities };
         each_chunk(
@@ -362,11 +364,11 @@ impl Dem {
         );
         // The first slab's images above the last.
         let images = cells.starts[layer] as usize;
-        for quads in [&mut self.forces, &mut self.torques] {
+        for quads in [forces, torques] {
             quads.clear();
             quads.resize(positions.len() + images, Quad::default());
         }
-        self.touched.resize(positions.len() + images, false);
+        touched.resize(positions.len() + images, false);
         self.number_pairs();
         self.travelled[0] = 0.0;
         self.rebuilds += 1;
@@ -388,8 +390,8 @@ impl Dem {
     }
 
     fn find_near(&mut self) {
-        let Self { cells, positions, slabs, .. } = self;
-        let (images, positions, near) = (cells.images(), &positions[..], cells.near);
+        let Self { cells, particles, slabs, .. } = self;
+        let (images, positions, near) = (cells.images(), &particles.positions[..], cells.near);
         let gone = self.travelled[0];
         each_chunk(
             self.setup.parallel,
@@ -425,7 +427,8 @@ impl Dem {
     fn sort(&mut self) {
         let parallel = self.setup.parallel;
         let len = self.len();
-        let Self { cells, scratch, positions, ids, .. } = self;
+        let Self { cells, scratch, particles, ids, .. } = self;
+        let Particles { positions, velocities, spins, drives, forces, .. } = particles;
         let size = self.setup.size;
         for position in positions.iter_mut() {
             let [x, y, z] = wrapped(position.vector(), size);
@@ -455,8 +458,8 @@ impl Dem {
         cells.starts[0] = 0;
         let order = &scratch.order[..];
         // The forces, which are zero, make room for what is moved.
-        for quads in [positions, &mut self.velocities, &mut self.spins, &mut self.drives] {
-            permute(parallel, order, quads, &mut self.forces);
+        for quads in [positions, velocities, spins, drives] {
+            permute(parallel, order, quads, forces);
         }
         // The cells are no longer needed, and make room for the new place of each old one.
         let new = &mut scratch.cell;
@@ -477,7 +480,7 @@ impl Dem {
 
     /// Gives the contacts that [`Dem::sort`] took away to their new pairs.
     fn put_contacts(&mut self) {
-        let len = self.positions.len();
+        let len = self.len();
         let carried = &self.scratch.carried[..];
         if carried.is_empty() {
             return;
@@ -503,7 +506,7 @@ impl Dem {
     /// Mean of the velocities.
     fn mean_velocity(&self) -> [f64; 3] {
         let mut sum = [0.0; 3];
-        for Quad([x, y, z, _]) in &self.velocities {
+        for Quad([x, y, z, _]) in &self.particles.velocities {
             sum = [sum[0] + x, sum[1] + y, sum[2] + z];
         }
         sum.map(|sum| sum / self.len().max(1) as f64)

@@ -14,8 +14,9 @@
 //! Where particles lie dense, clusters join throughout the box. Then steps are made one by one, slab by
 //! slab (`forces.rs`), until near pairs are listed next.
 
-use super::forces::{Loads, Scene, among};
-use super::motion::{Bodies, CHUNK, Damped, SIGN, advance, finish};
+use super::bodies::{Bodies, Particles, Still, fit};
+use super::forces::{Scene, among};
+use super::motion::{CHUNK, Damped, SIGN, advance, finish};
 use super::pairs::{IMAGES, Near, Slab, Touch};
 use super::{Dem, Quad, Setup, StepError};
 use crate::rows::{join, simd};
@@ -83,14 +84,8 @@ pub(super) struct Groups {
     owners: Vec<u32>,
     /// One for each slab.
     all: Vec<Group>,
-    positions: Vec<Quad>,
-    velocities: Vec<Quad>,
-    spins: Vec<Quad>,
-    drives: Vec<Quad>,
-    /// These three go on to the images of the last group.
-    forces: Vec<Quad>,
-    torques: Vec<Quad>,
-    touched: Vec<bool>,
+    /// Loads go on to the images of the last group.
+    gathered: Particles,
     members: Members,
 }
 
@@ -99,19 +94,10 @@ impl Groups {
     pub(super) fn memory(&self) -> usize {
         let Members { places, parents, slabs } = &self.members;
         let numbers = [&self.slots, &self.places, &self.owners, places, parents, slabs];
-        let quads = [
-            &self.positions,
-            &self.velocities,
-            &self.spins,
-            &self.drives,
-            &self.forces,
-            &self.torques,
-        ];
         let touches = |group: &Group| group.before.capacity() * size_of::<Touch>();
         let group = |group: &Group| size_of::<Group>() + group.share.memory() + touches(group);
         numbers.map(|numbers| numbers.capacity() * size_of::<u32>()).iter().sum::<usize>()
-            + quads.map(|quads| quads.capacity() * size_of::<Quad>()).iter().sum::<usize>()
-            + self.touched.capacity()
+            + self.gathered.memory()
             + self.all.iter().map(group).sum::<usize>()
     }
 }
@@ -192,95 +178,46 @@ struct Common<'a> {
     round: Round,
 }
 
-/// Particles as they are before or after a round, to be looked at; the three that go with contacts only.
-#[derive(Clone, Copy)]
-struct Still<'a> {
-    positions: &'a [Quad],
-    velocities: &'a [Quad],
-    spins: &'a [Quad],
-    drives: &'a [Quad],
-    forces: &'a [Quad],
-    torques: &'a [Quad],
-    touched: &'a [bool],
-}
-
 /// A stretch of the gathered particles, and the places that they come from.
 struct Stretch<'a> {
     places: &'a [u32],
-    positions: &'a mut [Quad],
-    velocities: &'a mut [Quad],
-    spins: &'a mut [Quad],
-    drives: &'a mut [Quad],
-    forces: &'a mut [Quad],
-    torques: &'a mut [Quad],
-    touched: &'a mut [bool],
+    bodies: Bodies<'a>,
 }
 
 impl Stretch<'_> {
     fn split_at(self, at: usize) -> (Self, Self) {
         let (places, places2) = self.places.split_at(at);
-        let (positions, positions2) = self.positions.split_at_mut(at);
-        let (velocities, velocities2) = self.velocities.split_at_mut(at);
-        let (spins, spins2) = self.spins.split_at_mut(at);
-        let (drives, drives2) = self.drives.split_at_mut(at.min(self.drives.len()));
-        let (forces, forces2) = self.forces.split_at_mut(at);
-        let (torques, torques2) = self.torques.split_at_mut(at);
-        let (touched, touched2) = self.touched.split_at_mut(at);
-        let first = Self { places, positions, velocities, spins, drives, forces, torques, touched };
-        let second = Self {
-            places: places2,
-            positions: positions2,
-            velocities: velocities2,
-            spins: spins2,
-            drives: drives2,
-            forces: forces2,
-            torques: torques2,
-            touched: touched2,
-        };
-        (first, second)
+        let (bodies, bodies2) = self.bodies.split_at(at);
+        (Self { places, bodies }, Self { places: places2, bodies: bodies2 })
     }
 
     /// Gathers the particles, with the loads that they have if a run begins.
     fn gather(&mut self, from: Still, opening: bool) {
-        for (slot, &place) in self.places.iter().enumerate() {
+        let Self { places, bodies } = self;
+        for (slot, &place) in places.iter().enumerate() {
             let place = place as usize;
-            self.positions[slot] = from.positions[place];
-            self.velocities[slot] = from.velocities[place];
-            self.spins[slot] = from.spins[place];
+            bodies.positions[slot] = from.positions[place];
+            bodies.velocities[slot] = from.velocities[place];
+            bodies.spins[slot] = from.spins[place];
             if let Some(drive) = from.drives.get(place) {
-                self.drives[slot] = *drive;
+                bodies.drives[slot] = *drive;
             }
             if opening {
-                self.forces[slot] = from.forces[place];
-                self.torques[slot] = from.torques[place];
-                self.touched[slot] = from.touched[place];
+                bodies.forces[slot] = from.forces[place];
+                bodies.torques[slot] = from.torques[place];
+                bodies.touched[slot] = from.touched[place];
             }
         }
-        let bare = if opening { self.places.len() } else { 0 };
-        self.forces[bare..].fill(Quad::default());
-        self.torques[bare..].fill(Quad::default());
-        self.touched[bare..].fill(false);
-    }
-
-    fn bodies(&mut self) -> Bodies<'_> {
-        Bodies {
-            positions: self.positions,
-            velocities: self.velocities,
-            spins: self.spins,
-            forces: self.forces,
-            torques: self.torques,
-            touched: self.touched,
-            drives: self.drives,
-        }
+        let bare = if opening { places.len() } else { 0 };
+        bodies.forces[bare..].fill(Quad::default());
+        bodies.torques[bare..].fill(Quad::default());
+        bodies.touched[bare..].fill(false);
     }
 
     /// Contacts, left to be seen if they are the `last` of a run that asks for that.
     fn contacts<const SEEN: bool>(&mut self, share: &mut Slab, common: Common, last: bool) {
-        let bodies = [&*self.positions, &*self.velocities, &*self.spins];
-        let scene = Scene::new(bodies, common.images, common.setup, common.dt);
-        let (forces, torques, touched) =
-            (&mut *self.forces, &mut *self.torques, &mut *self.touched);
-        let loads = Loads { forces, torques, touched };
+        let bodies = self.bodies.lend();
+        let (scene, loads) = Scene::new(bodies, common.images, common.setup, common.dt);
         match (SEEN && last, common.setup.contact.cohesion > 0.0) {
             (false, false) => among::<false, false>(share, scene, loads),
             (false, true) => among::<false, true>(share, scene, loads),
@@ -325,7 +262,7 @@ fn tour<const SEEN: bool>(
         record.note(0, share);
     }
     for step in 1..=drifts {
-        let bodies = stretch.bodies();
+        let bodies = stretch.bodies.lend();
         record.squares[step - 1] = match (opening && step == 1, common.damped) {
             (true, false) => advance(bodies, [half], dt, frame, Damped::<false>),
             (true, true) => advance(bodies, [half], dt, frame, Damped::<true>),
@@ -339,7 +276,7 @@ fn tour<const SEEN: bool>(
         }
     }
     if end == End::Kick {
-        finish(stretch.bodies(), half);
+        finish(stretch.bodies, half);
     }
 }
 
@@ -496,7 +433,7 @@ fn faster(most: &mut [u64; LANES], v: &[Lanes; 3], frame: [f64; 3]) {
 /// [`fly`] for all, in parts.
 fn fly_all(common: Common, bodies: Bodies, slots: &[u32], gathered: Still) -> [u64; LONGEST] {
     if bodies.positions.len() > CHUNK {
-        let (first, second) = bodies.halves();
+        let (first, second) = bodies.halves(CHUNK);
         let (slots, slots2) = slots.split_at(first.positions.len());
         let (mut squares, others) = join(
             common.setup.parallel,
@@ -520,14 +457,6 @@ fn fly_all(common: Common, bodies: Bodies, slots: &[u32], gathered: Still) -> [u
 fn nth(n: usize, len: usize) -> usize {
     let even = len.div_ceil(2);
     if n < even { 2 * n } else { 2 * (n - even) + 1 }
-}
-
-/// Makes room for `len` items, with little to spare.
-fn fit<T: Clone + Default>(items: &mut Vec<T>, len: usize) {
-    if len > items.capacity() {
-        items.reserve_exact(len + len / 16 - items.len());
-    }
-    items.resize(len, T::default());
 }
 
 impl Dem {
@@ -684,12 +613,7 @@ impl Dem {
             (share.springs, share.deepest) = (slab.springs, slab.deepest);
         }
         let images = all.last().map_or(0, |group| count - group.share.begin);
-        for quads in [&mut groups.positions, &mut groups.velocities, &mut groups.spins] {
-            fit(quads, count);
-        }
-        fit(&mut groups.forces, count + images);
-        fit(&mut groups.torques, count + images);
-        fit(&mut groups.touched, count + images);
+        groups.gathered.fit(count, images);
     }
 
     /// As much of a `round` as is certain: all its contacts are between near pairs as listed, and no drift
@@ -768,26 +692,10 @@ impl Dem {
         let (setup, images) = (self.setup, self.cells.images());
         let common = self.common(&setup, &images, round);
         let groups = &mut self.groups;
-        fit(&mut groups.drives, if self.drives.is_empty() { 0 } else { groups.places.len() });
-        let from = Still {
-            positions: &self.positions,
-            velocities: &self.velocities,
-            spins: &self.spins,
-            drives: &self.drives,
-            forces: &self.forces,
-            torques: &self.torques,
-            touched: &self.touched,
-        };
-        let stretch = Stretch {
-            places: &groups.places,
-            positions: &mut groups.positions,
-            velocities: &mut groups.velocities,
-            spins: &mut groups.spins,
-            drives: &mut groups.drives,
-            forces: &mut groups.forces,
-            torques: &mut groups.torques,
-            touched: &mut groups.touched,
-        };
+        let driven = !self.particles.drives.is_empty();
+        fit(&mut groups.gathered.drives, if driven { groups.places.len() } else { 0 });
+        let stretch = Stretch { places: &groups.places, bodies: groups.gathered.bodies() };
+        let from = self.particles.still();
         tour::<SEEN>(common, from, again, &mut groups.all, stretch);
     }
 
@@ -796,16 +704,8 @@ impl Dem {
         let (setup, images) = (self.setup, self.cells.images());
         let common = self.common(&setup, &images, round);
         let groups = std::mem::take(&mut self.groups);
-        let gathered = Still {
-            positions: &groups.positions,
-            velocities: &groups.velocities,
-            spins: &groups.spins,
-            drives: &groups.drives,
-            forces: &groups.forces,
-            torques: &groups.torques,
-            touched: &groups.touched,
-        };
-        let squares = fly_all(common, self.bodies(), &groups.slots, gathered);
+        let bodies = self.particles.bodies();
+        let squares = fly_all(common, bodies, &groups.slots, groups.gathered.still());
         self.groups = groups;
         squares
     }

@@ -87,7 +87,7 @@ impl Dem {
         let len = self.len();
         put(to, len as u64)?;
         self.cells.number.into_iter().try_for_each(|number| put(to, number as u64))?;
-        put(to, u64::from(!self.drives.is_empty()))?;
+        put(to, u64::from(!self.particles.drives.is_empty()))?;
         let [fx, fy, fz] = self.frame;
         let [far, near] = self.travelled;
         for number in [self.dt, self.time, far, near, fx, fy, fz, self.lost] {
@@ -96,9 +96,15 @@ impl Dem {
         put(to, self.steps)?;
         put(to, self.rebuilds)?;
         self.ids.iter().try_for_each(|&id| put(to, id.into()))?;
-        let (forces, torques) = (&self.forces[..len], &self.torques[..len]);
-        for quads in [&self.positions, &self.velocities, &self.spins, &self.drives, forces, torques]
-        {
+        let (forces, torques) = (&self.particles.forces[..len], &self.particles.torques[..len]);
+        for quads in [
+            &self.particles.positions,
+            &self.particles.velocities,
+            &self.particles.spins,
+            &self.particles.drives,
+            forces,
+            torques,
+        ] {
             put_quads(to, quads)?;
         }
         let contacts = self.all_contacts();
@@ -162,15 +168,15 @@ impl Dem {
         for id in &mut self.ids {
             *id = take_place(from, None, len)?;
         }
-        self.drives.clear();
-        self.drives.resize(drives, Quad::default());
+        self.particles.drives.clear();
+        self.particles.drives.resize(drives, Quad::default());
         for quads in [
-            &mut self.positions[..],
-            &mut self.velocities,
-            &mut self.spins,
-            &mut self.drives,
-            &mut self.forces[..len],
-            &mut self.torques[..len],
+            &mut self.particles.positions[..],
+            &mut self.particles.velocities,
+            &mut self.particles.spins,
+            &mut self.particles.drives,
+            &mut self.particles.forces[..len],
+            &mut self.particles.torques[..len],
         ] {
             take_quads(from, quads)?;
         }
@@ -226,17 +232,17 @@ impl Dem {
                 return Err(StateError::Damaged("a pair is of particles that there are not"));
             }
         }
-        for quads in [&mut self.forces, &mut self.torques] {
+        for quads in [&mut self.particles.forces, &mut self.particles.torques] {
             quads.truncate(len);
             quads.resize(len + images, Quad::default());
         }
-        self.touched.clear();
-        self.touched.resize(len + images, false);
+        self.particles.touched.clear();
+        self.particles.touched.resize(len + images, false);
         for slab in &self.slabs {
             for touch in &slab.contacts {
                 let pair = slab.pairs[touch.pair as usize];
-                self.touched[pair.first()] = true;
-                self.touched[pair.second(len)] = true;
+                self.particles.touched[pair.first()] = true;
+                self.particles.touched[pair.second(len)] = true;
             }
         }
         self.number_pairs();

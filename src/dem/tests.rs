@@ -135,8 +135,8 @@ fn the_bits_are_the_same_on_any_number_of_threads_and_in_any_portions() {
 fn bodies(dem: &Dem) -> Vec<[Quad; 4]> {
     let mut bodies = vec![[Quad::default(); 4]; dem.len()];
     for (place, &id) in dem.ids().iter().enumerate() {
-        let (x, v) = (dem.positions[place], dem.velocities[place]);
-        bodies[id as usize] = [x, v, dem.spins[place], dem.forces[place]];
+        let (x, v) = (dem.particles.positions[place], dem.particles.velocities[place]);
+        bodies[id as usize] = [x, v, dem.particles.spins[place], dem.particles.forces[place]];
     }
     bodies
 }
