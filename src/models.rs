@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use crate::cli::{self, ModelsCommand};
 use crate::{Failure, print, print_json, say, write};
-use points::{Columns, PADDING};
+use points::{Columns, Lines, PADDING};
 
 mod points;
 
@@ -210,7 +210,7 @@ fn pass_text(quantity: &Quantity) -> io::Result<()> {
     let mut stdin = io::stdin().lock();
     let mut stdout = io::stdout().lock();
     let mut columns = Columns::new(markers.len());
-    let (mut values, mut out) = (Vec::new(), Vec::new());
+    let (mut values, mut lines) = (Vec::new(), Lines::default());
     let mut text = vec![0; BLOCK + PADDING];
     // How much of it is there, and how many lines were before.
     let (mut length, mut number) = (0, 0);
@@ -243,8 +243,7 @@ fn pass_text(quantity: &Quantity) -> io::Result<()> {
         text.copy_within(end..length, 0);
         length -= end;
         evaluate(quantity, &columns, &mut values);
-        points::write_lines(&values, &mut out);
-        stdout.write_all(&out)?;
+        stdout.write_all(lines.of(&values))?;
         if read == 0 {
             return stdout.flush();
         }

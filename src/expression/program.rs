@@ -119,6 +119,49 @@ enum Key {
     Log2(usize),
 }
 
+/// What a program works on: so many numbers in each register.
+struct Registers {
+    numbers: Vec<f64>,
+    width: usize,
+}
+
+/// All registers but one.
+#[derive(Clone, Copy)]
+struct Others<'a> {
+    before: &'a [f64],
+    after: &'a [f64],
+    but: usize,
+    width: usize,
+}
+
+impl Registers {
+    #[inline(always)]
+    fn get(&self, register: usize) -> &[f64] {
+        &self.numbers[register * self.width..][..self.width]
+    }
+
+    /// A register to be written, and the others to be read.
+    #[inline(always)]
+    fn apart(&mut self, register: usize) -> (&mut [f64], Others<'_>) {
+        let width = self.width;
+        let (before, rest) = self.numbers.split_at_mut(register * width);
+        let (written, after) = rest.split_at_mut(width);
+        (written, Others { before, after, but: register, width })
+    }
+}
+
+impl<'a> Others<'a> {
+    #[inline(always)]
+    fn get(&self, register: usize) -> &'a [f64] {
+        let Self { before, after, but, width } = *self;
+        if register < but {
+            &before[register * width..][..width]
+        } else {
+            &after[(register - but - 1) * width..][..width]
+        }
+    }
+}
+
 struct Compiler<'a> {
     meaning: &'a dyn Fn(&str) -> Option<Meaning<'a>>,
     program: Program,
@@ -193,11 +236,19 @@ impl Program {
         for block in &mut self.blocks {
             block.retain(|operation| !done[operation.out]);
         }
+        // Those that have gone into sums need no register.
+        let mut needed = vec![false; self.registers];
+        needed[self.result] = true;
+        for operation in self.blocks.iter_mut().flatten() {
+            operation.kind.reads(|register| needed[*register] = true);
+        }
+        self.constants.retain(|(register, _)| needed[*register]);
         self
     }
 
-    /// The same with registers of its own for each piece of a piecewise formula, since other points are
-    /// side by side there; pieces that exclude each other use the same.
+    /// The same with few registers, so that they stay in cache: one that is no longer needed is written
+    /// again. Each piece of a piecewise formula has its own, since other points are side by side there; pieces
+    /// that exclude each other use the same.
     fn placed(mut self) -> Self {
         let mut places: HashMap<usize, usize> = (0..self.inputs).map(|i| (i, i)).collect();
         let mut next = self.inputs;
@@ -212,50 +263,90 @@ impl Program {
             .map(|(register, place)| (*register, *place))
             .collect();
         self.registers = next;
-        let last = self.place(0, &mut places, &everywhere, next);
-        self.registers = self.registers.max(last);
-        self.result = places[&self.result];
+        self.result = self.place(0, self.result, &mut places, &everywhere, next);
         self
     }
 
-    /// Renames the registers of `block` as `places` says; those that it writes are new, from `next` on.
-    /// Gives the first that is free then.
+    /// Renames the registers of `block`, which ends in `result`, as `places` says; those that it writes are
+    /// new, from `next` on. Gives the new name of the result.
     fn place(
         &mut self,
         block: usize,
+        result: usize,
         places: &mut HashMap<usize, usize>,
         everywhere: &HashMap<usize, usize>,
         mut next: usize,
     ) -> usize {
         let mut operations = std::mem::take(&mut self.blocks[block]);
-        for Operation { kind, out } in &mut operations {
+        // The last operation that needs a register.
+        let mut last_use = HashMap::new();
+        for (n, operation) in operations.iter_mut().enumerate() {
+            for register in self.needs(operation, everywhere) {
+                last_use.insert(register, n);
+            }
+        }
+        last_use.remove(&result);
+        let mut free = Vec::new();
+        for (n, operation) in operations.iter_mut().enumerate() {
+            // Never one of those that it reads, nor one that its pieces write.
+            let new = free.pop().unwrap_or_else(|| {
+                next += 1;
+                next - 1
+            });
+            let done = self.needs(operation, everywhere);
+            let Operation { kind, out } = operation;
             if let Kind::Select(arms, last) = kind {
-                let first = next;
                 for arm in &mut *arms {
                     (arm.left, arm.right) = (places[&arm.left], places[&arm.right]);
                 }
                 let values = arms.iter_mut().map(|arm| &mut arm.value);
                 for value in values.chain(std::iter::once(last)) {
                     let mut inner = everywhere.clone();
-                    let mut free = first;
+                    let mut first = next;
                     for outside in self.outside(value.block, value.result, everywhere) {
-                        value.carried.push((places[&outside], free));
-                        inner.insert(outside, free);
-                        free += 1;
+                        value.carried.push((places[&outside], first));
+                        inner.insert(outside, first);
+                        first += 1;
                     }
-                    next = next.max(self.place(value.block, &mut inner, everywhere, free));
-                    value.result = inner[&value.result];
+                    self.registers = self.registers.max(first);
+                    value.result =
+                        self.place(value.block, value.result, &mut inner, everywhere, first);
                 }
             } else {
                 kind.reads(|register| *register = places[register]);
             }
-            places.insert(*out, next);
-            *out = next;
-            next += 1;
+            places.insert(*out, new);
+            *out = new;
+            let done = done.into_iter().filter(|register| last_use.get(register) == Some(&n));
+            free.extend(
+                done.map(|register| places[&register]).filter(|place| *place >= self.inputs),
+            );
         }
         self.blocks[block] = operations;
         self.registers = self.registers.max(next);
-        next
+        places[&result]
+    }
+
+    /// The registers that an operation and the pieces in it need, of those that are not the same everywhere.
+    fn needs(
+        &self,
+        operation: &mut Operation,
+        everywhere: &HashMap<usize, usize>,
+    ) -> BTreeSet<usize> {
+        let mut needs = BTreeSet::new();
+        if let Kind::Select(arms, last) = &operation.kind {
+            for Arm { left, right, value, .. } in arms {
+                needs.extend([*left, *right]);
+                needs.extend(self.outside(value.block, value.result, everywhere));
+            }
+            needs.extend(self.outside(last.block, last.result, everywhere));
+        } else {
+            operation.kind.reads(|register| {
+                needs.insert(*register);
+            });
+        }
+        needs.retain(|register| !everywhere.contains_key(register));
+        needs
     }
 
     /// The registers that `block` and `result` need of those that are written elsewhere, in order.
@@ -266,18 +357,8 @@ impl Program {
         everywhere: &HashMap<usize, usize>,
     ) -> BTreeSet<usize> {
         let mut needs = BTreeSet::from([result]);
-        for Operation { kind, .. } in &self.blocks[block] {
-            if let Kind::Select(arms, last) = kind {
-                for Arm { left, right, value, .. } in arms {
-                    needs.extend([*left, *right]);
-                    needs.extend(self.outside(value.block, value.result, everywhere));
-                }
-                needs.extend(self.outside(last.block, last.result, everywhere));
-            } else {
-                kind.clone().reads(|register| {
-                    needs.insert(*register);
-                });
-            }
+        for operation in &self.blocks[block] {
+            needs.extend(self.needs(&mut operation.clone(), everywhere));
         }
         for Operation { out, .. } in &self.blocks[block] {
             needs.remove(out);
@@ -316,32 +397,32 @@ impl Program {
         assert_eq!(inputs.len(), self.inputs, "number of inputs");
         assert!(inputs.iter().all(|column| column.len() == out.len()), "length of the inputs");
         let width = CHUNK.min(out.len()).max(1);
-        let mut registers = vec![0.0; self.registers * width];
+        let mut registers = Registers { numbers: vec![0.0; self.registers * width], width };
         for (register, value) in &self.constants {
-            registers[register * width..][..width].fill(*value);
+            registers.apart(*register).0.fill(*value);
         }
         for (chunk, out) in out.chunks_mut(width).enumerate() {
             for (i, column) in inputs.iter().enumerate() {
                 let part = &column[chunk * width..][..out.len()];
-                let register = &mut registers[i * width..][..out.len()];
+                let register = &mut registers.apart(i).0[..out.len()];
                 register.copy_from_slice(part);
                 shift(i, register);
             }
-            self.run(0, out.len(), width, &mut registers);
-            out.copy_from_slice(&registers[self.result * width..][..out.len()]);
+            self.run(0, out.len(), &mut registers);
+            out.copy_from_slice(&registers.get(self.result)[..out.len()]);
         }
     }
 
-    /// Runs `block` at the first `count` points of registers of `width` numbers.
-    fn run(&self, block: usize, count: usize, width: usize, registers: &mut [f64]) {
+    /// Runs `block` at the first `count` points of the registers.
+    fn run(&self, block: usize, count: usize, registers: &mut Registers) {
         for Operation { kind, out } in &self.blocks[block] {
             if let Kind::Select(arms, last) = kind {
-                self.select(arms, last, *out, count, width, registers);
+                self.select(arms, last, *out, count, registers);
                 continue;
             }
-            let (before, after) = registers.split_at_mut(out * width);
-            let register = |r: &usize| &before[r * width..][..count];
-            let out = &mut after[..count];
+            let (out, others) = registers.apart(*out);
+            let out = &mut out[..count];
+            let register = |register: &usize| &others.get(*register)[..count];
             match kind {
                 Kind::Negative(a) => each_of_one(out, register(a), |a| -a),
                 Kind::Binary(operator, a, b) => {
@@ -358,7 +439,7 @@ impl Program {
                 Kind::Cube(a) => each_of_one(out, register(a), |a| a * a * a),
                 Kind::Log2(a) => logarithms(register(a), out),
                 Kind::Power(a, b, log) => powers(register(a), register(b), register(log), out),
-                Kind::Sum(first, terms) => sum(out, register(first), terms, before, width),
+                Kind::Sum(first, terms) => sum(out, register(first), terms, others),
                 // By name: a choice outside the loop.
                 Kind::One(function, a) => match function {
                     Function::Exp => exponentials(register(a), out),
@@ -386,14 +467,12 @@ impl Program {
         last: &Block,
         out: usize,
         count: usize,
-        width: usize,
-        registers: &mut [f64],
+        registers: &mut Registers,
     ) {
         let mut which = [arms.len() as u64; CHUNK];
         let which = &mut which[..count];
         for (number, arm) in arms.iter().enumerate().rev() {
-            let left = &registers[arm.left * width..][..count];
-            let right = &registers[arm.right * width..][..count];
+            let [left, right] = [arm.left, arm.right].map(|side| &registers.get(side)[..count]);
             // By name: a choice outside the loop.
             match arm.comparison {
                 Comparison::Less => mark(which, left, right, number, |a, b| a < b),
@@ -416,16 +495,16 @@ impl Program {
             }
             let list = &list[..length];
             for (from, to) in &value.carried {
-                let (before, after) = registers.split_at_mut(to * width);
-                let from = &before[from * width..][..count];
-                for (to, i) in after[..length].iter_mut().zip(list) {
+                let (to, others) = registers.apart(*to);
+                let from = &others.get(*from)[..count];
+                for (to, i) in to.iter_mut().zip(list) {
                     *to = from[usize::from(*i)];
                 }
             }
-            self.run(value.block, length, width, registers);
-            let (before, after) = registers.split_at_mut(out * width);
-            let (found, out) = (&before[value.result * width..][..length], &mut after[..count]);
-            for (found, i) in found.iter().zip(list) {
+            self.run(value.block, length, registers);
+            let (out, others) = registers.apart(out);
+            let out = &mut out[..count];
+            for (found, i) in others.get(value.result).iter().zip(list) {
                 out[usize::from(*i)] = *found;
             }
         }
@@ -546,8 +625,8 @@ simd! {
 const LANES: usize = 32;
 
 simd! {
-    /// `out` = a + Σ c x, the x in `registers` of `width` numbers each.
-    fn sum[](out: &mut [f64], a: &[f64], terms: &[(f64, usize)], registers: &[f64], width: usize) {
+    /// `out` = a + Σ c x, the x in `registers`.
+    fn sum[](out: &mut [f64], a: &[f64], terms: &[(f64, usize)], registers: Others) {
         let (many, rest) = out.as_chunks_mut::<LANES>();
         let rest_at = many.len() * LANES;
         for (k, out) in many.iter_mut().enumerate() {
@@ -557,7 +636,7 @@ simd! {
                 *sum = *a;
             }
             for (c, x) in terms {
-                let x = &registers[x * width + at..][..LANES];
+                let x = &registers.get(*x)[at..][..LANES];
                 for (sum, x) in sum.iter_mut().zip(x) {
                     *sum += *c * *x;
                 }
@@ -565,7 +644,7 @@ simd! {
             *out = sum;
         }
         for (i, out) in rest.iter_mut().enumerate() {
-            let add = |sum, (c, x): &(f64, usize)| sum + c * registers[x * width + rest_at + i];
+            let add = |sum, (c, x): &(f64, usize)| sum + c * registers.get(*x)[rest_at + i];
             *out = terms.iter().fold(a[rest_at + i], add);
         }
     }
@@ -780,6 +859,24 @@ mod tests {
             .flatten()
             .filter(|operation| matches!(operation.kind, Kind::One(Function::Exp, _)));
         assert_eq!(exponentials.count(), 1);
+    }
+
+    #[test]
+    fn registers_are_written_again_and_constants_in_sums_have_none() {
+        let steps: Vec<String> = (2..40).map(|k| format!("exp(x/{k}.5)*sqrt(y + {k})")).collect();
+        let program = compiled(&steps.join(" - ")).unwrap();
+        // Inputs, constants, and what one term and the sum so far need.
+        assert!(program.registers <= 2 + program.constants.len() + 4, "{}", program.registers);
+        let expected: f64 = (2..40)
+            .map(f64::from)
+            .map(|k| {
+                let term = (0.7 / (k + 0.5)).exp() * (1.3 + k).sqrt();
+                if k == 2.0 { term } else { -term }
+            })
+            .sum();
+        assert!((program.at(&[0.7, 1.3]) / expected - 1.0).abs() < 1e-13);
+        let sum = compiled("1 + 0.3*x - 1.7*y + 0.1*x^2").unwrap();
+        assert_eq!(sum.constants.len(), 1);
     }
 
     #[test]

@@ -40,7 +40,7 @@ impl Columns {
     /// The columns.
     pub fn parts(&self) -> Vec<&[f64]> {
         self.numbers
-            .chunks_exact(self.stride())
+            .chunks_exact(self.stride().max(1))
             .take(self.count)
             .map(|column| &column[..self.rows])
             .collect()
@@ -51,9 +51,8 @@ impl Columns {
         let size = 8 * self.count;
         self.clear(bytes.len() / size);
         self.rows = bytes.len() / size;
-        let stride = self.stride();
-        for (k, column) in self.numbers.chunks_exact_mut(stride.max(1)).take(self.count).enumerate()
-        {
+        let stride = self.stride().max(1);
+        for (k, column) in self.numbers.chunks_exact_mut(stride).take(self.count).enumerate() {
             for (number, point) in column.iter_mut().zip(bytes.chunks_exact(size)) {
                 let double = *point[8 * k..].first_chunk().expect("eight bytes");
                 *number = f64::from_le_bytes(double);
@@ -129,23 +128,57 @@ fn number_of(text: &[u8]) -> Option<f64> {
     Some(number).filter(|number| number.is_finite())
 }
 
-/// Eight bytes, where the digits are 0 to 9 and nothing else is.
-fn word(text: &[u8], at: usize) -> u64 {
-    u64::from_le_bytes(*text[at..].first_chunk().expect("padding")) ^ u64::from_ne_bytes([b'0'; 8])
+/// As many bytes as a word has, where the digits are 0 to 9 and nothing else is.
+macro_rules! word {
+    ($number:ty, $text:expr) => {
+        <$number>::from_le_bytes(*$text.first_chunk().expect("padding"))
+            ^ <$number>::from_ne_bytes([b'0'; size_of::<$number>()])
+    };
 }
 
-/// A bit for each byte of a [`word`] that is no digit.
-fn no_digits(word: u64) -> u64 {
+/// A bit for each byte that is no digit.
+#[cfg(target_arch = "x86_64")]
+fn no_digits(bytes: &[u8; 64]) -> u64 {
+    use std::arch::x86_64::{
+        _mm_add_epi8, _mm_cmplt_epi8, _mm_loadu_si128, _mm_movemask_epi8, _mm_set1_epi8,
+    };
+    let digits = bytes.as_chunks::<16>().0.iter().map(|bytes| {
+        // SAFETY: every processor of this kind has SSE2, and 16 bytes are there to be read.
+        unsafe {
+            // Moved so that digits are less than all others.
+            let bytes = _mm_loadu_si128(bytes.as_ptr().cast());
+            let bytes = _mm_add_epi8(bytes, _mm_set1_epi8(i8::MIN.wrapping_sub_unsigned(b'0')));
+            _mm_movemask_epi8(_mm_cmplt_epi8(bytes, _mm_set1_epi8(i8::MIN + 10)))
+        }
+    });
+    !digits.zip([0, 16, 32, 48]).map(|(found, at)| u64::from(found as u32) << at).sum::<u64>()
+}
+
+/// A bit for each byte that is no digit.
+#[cfg(not(target_arch = "x86_64"))]
+fn no_digits(bytes: &[u8; 64]) -> u64 {
     const HIGH: u64 = u64::from_ne_bytes([0x80; 8]);
-    let high = (((word & !HIGH) + u64::from_ne_bytes([0x76; 8])) | word) & HIGH;
-    // Bit 8 i + 7 to bit 56 + i.
-    (high >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56
+    let found = bytes.as_chunks::<8>().0.iter().map(|bytes| {
+        let word = word!(u64, bytes);
+        let high = (((word & !HIGH) + u64::from_ne_bytes([0x76; 8])) | word) & HIGH;
+        // Bit 8 i + 7 to bit 56 + i.
+        (high >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56
+    });
+    found.rev().fold(0, |all, found| all << 8 | found)
 }
 
-/// The number that the first digits of a [`word`] are, eight at most.
-fn digits_of(word: u64, digits: usize) -> u64 {
-    // Zeros before them.
-    let word = if digits == 0 { 0 } else { word << (64 - 8 * digits) };
+/// The `digits` that text begins with, `whole` ones of them before a point if `point` is 1, as the last
+/// ones of a [`word`], without the point and after zeros.
+macro_rules! aligned {
+    ($number:ty, $text:expr, $whole:ident, $point:ident, $digits:ident) => {{
+        let word = word!($number, $text);
+        let behind = <$number>::MAX.checked_shl(8 * $whole as u32).unwrap_or(0);
+        (word & !behind | (word >> (8 * $point)) & behind) << (8 * (size_of::<$number>() - $digits))
+    }};
+}
+
+/// The number that the eight digits of a [`word`] are.
+fn eight_digits(word: u64) -> u64 {
     // Pairs of digits, then all of them.
     let pairs = 10 * word + (word >> 8);
     let low = (pairs & 0x0000_00ff_0000_00ff).wrapping_mul(0x000f_4240_0000_0064);
@@ -173,7 +206,7 @@ impl<'a> Marks<'a> {
 
     fn look(&mut self) {
         let bytes: &[u8; 64] = self.text[self.at..].first_chunk().expect("padding");
-        self.left = (0..8).map(|k| no_digits(word(bytes, 8 * k)) << (8 * k)).sum();
+        self.left = no_digits(bytes);
     }
 
     /// The next; there must be a line break, or the text ends.
@@ -190,14 +223,13 @@ impl<'a> Marks<'a> {
 }
 
 /// Powers of ten that are doubles exactly.
-const TENS: [f64; 23] = [
-    1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16,
-    1e17, 1e18, 1e19, 1e20, 1e21, 1e22,
-];
+const TENS: [f64; 16] =
+    [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15];
 
 /// Reads a line of as many numbers as there are columns, to the first of each column of `stride` numbers,
-/// and gives where the next line starts: digits with or without a point and a sign before them, up to
-/// 2⁵³, so that dividing by a power of ten rounds once. None if something else is there.
+/// and gives where the next line starts: digits with or without a point and a sign before them, no more than
+/// 15, which are a whole number below 2⁵³, so that dividing it by a power of ten rounds once. None if
+/// something else is there.
 #[inline(always)]
 fn quick_line(
     text: &[u8],
@@ -210,41 +242,34 @@ fn quick_line(
     loop {
         let mut mark = marks.next();
         let mut sign = 1.0;
-        while mark == at && text[mark] == b' ' {
-            at += 1;
-            mark = marks.next();
-        }
-        if mark == at && text[mark] == b'-' {
-            sign = -1.0;
-            at += 1;
-            mark = marks.next();
+        if mark == at {
+            while mark == at && text[mark] == b' ' {
+                at += 1;
+                mark = marks.next();
+            }
+            if mark == at && text[mark] == b'-' {
+                sign = -1.0;
+                at += 1;
+                mark = marks.next();
+            }
         }
         let whole = mark - at;
-        let (mut behind, mut more) = (0, 0);
-        if text[mark] == b'.' {
-            let end = marks.next();
-            behind = end - mark - 1;
-            if behind > 8 {
-                (behind, more) = (8, behind - 8);
-            }
+        let point = usize::from(text[mark] == b'.');
+        if point == 1 {
+            mark = marks.next();
         }
-        if whole + behind == 0 || whole > 8 || whole + behind + more > 16 {
+        let length = mark - at;
+        let digits = length - point;
+        if digits == 0 || length > 15 {
             return None;
         }
-        let mut value = digits_of(word(text, at), whole);
-        if text[mark] == b'.' {
-            value = value * TENS_WHOLE[behind] + digits_of(word(text, mark + 1), behind);
-            mark += 1 + behind;
-        }
-        if more > 0 {
-            value = value * TENS_WHOLE[more] + digits_of(word(text, mark), more);
-            mark += more;
-            behind += more;
-            if value > 1 << 53 {
-                return None;
-            }
-        }
-        numbers[column] = sign * (value as i64 as f64 / TENS[behind]);
+        let value = if length <= 8 {
+            eight_digits(aligned!(u64, text[at..], whole, point, digits))
+        } else {
+            let word = aligned!(u128, text[at..], whole, point, digits);
+            100_000_000 * eight_digits(word as u64) + eight_digits((word >> 64) as u64)
+        };
+        numbers[column] = sign * (value as i64 as f64 / TENS[digits - whole]);
         column += stride;
         at = mark + 1;
         match text[mark] {
@@ -259,36 +284,42 @@ fn quick_line(
     }
 }
 
-/// Powers of ten up to 10⁸.
-const TENS_WHOLE: [u64; 9] =
-    [1, 10, 100, 1_000, 10_000, 100_000, 1_000_000, 10_000_000, 100_000_000];
+/// Values as text.
+#[derive(Default)]
+pub struct Lines {
+    text: Vec<u8>,
+}
 
-/// Writes `values` to `out`, a line each, with as many digits as give the same double back.
-pub fn write_lines(values: &[f64], out: &mut Vec<u8>) {
-    /// More than a line has bytes.
-    const LONGEST: usize = 32;
-    out.resize(LONGEST * values.len(), 0);
-    let mut shortest = zmij::Buffer::new();
-    let mut at = 0;
-    for value in values {
-        let text = shortest.format(*value).as_bytes();
-        let (line, length) = (&mut out[at..at + LONGEST], text.len());
-        // Sizes that are known are moved without a call; the two overlap.
-        match length {
-            16.. => {
-                line[..16].copy_from_slice(&text[..16]);
-                line[length - 16..length].copy_from_slice(&text[length - 16..]);
-            }
-            8.. => {
-                line[..8].copy_from_slice(&text[..8]);
-                line[length - 8..length].copy_from_slice(&text[length - 8..]);
-            }
-            _ => line[..length].copy_from_slice(text),
+impl Lines {
+    /// The `values`, a line each, with as many digits as give the same double back.
+    pub fn of(&mut self, values: &[f64]) -> &[u8] {
+        /// More than a line has bytes.
+        const LONGEST: usize = 32;
+        if self.text.len() < LONGEST * values.len() {
+            self.text.resize(LONGEST * values.len(), 0);
         }
-        line[length] = b'\n';
-        at += length + 1;
+        let mut shortest = zmij::Buffer::new();
+        let mut at = 0;
+        for value in values {
+            let text = shortest.format(*value).as_bytes();
+            let (line, length) = (&mut self.text[at..at + LONGEST], text.len());
+            // Sizes that are known are moved without a call; the two overlap.
+            match length {
+                16.. => {
+                    line[..16].copy_from_slice(&text[..16]);
+                    line[length - 16..length].copy_from_slice(&text[length - 16..]);
+                }
+                8.. => {
+                    line[..8].copy_from_slice(&text[..8]);
+                    line[length - 8..length].copy_from_slice(&text[length - 8..]);
+                }
+                _ => line[..length].copy_from_slice(text),
+            }
+            line[length] = b'\n';
+            at += length + 1;
+        }
+        &self.text[..at]
     }
-    out.truncate(at);
 }
 
 #[cfg(test)]
@@ -421,9 +452,9 @@ mod tests {
             1_234.567_8,
             0.000_123_4,
         ];
-        let mut out = vec![7; 3];
-        write_lines(&values, &mut out);
-        let lines: Vec<&str> = std::str::from_utf8(&out).unwrap().lines().collect();
+        let mut out = Lines::default();
+        out.of(&[0.5; 100]);
+        let lines: Vec<&str> = std::str::from_utf8(out.of(&values)).unwrap().lines().collect();
         assert_eq!(lines.len(), values.len());
         for (line, value) in lines.iter().zip(values) {
             let found: f64 = line.parse().unwrap();
