@@ -556,7 +556,8 @@ pub fn film_figure(film: &Film, frames: &[&Frame], size: [f64; 2]) -> Figure {
         .fold(f64::MIN_POSITIVE, |high, x| high.max(*x));
     let shaded = |x: f64| (x / high * SHADES).round() / SHADES * high;
     // Between the pictures there is no number, and no colour.
-    let mut data = vec![vec![f64::NAN; frames.len() * across - gap]; 2 * up - gap];
+    let (wide, tall) = (frames.len() * across - gap, 2 * up - gap);
+    let mut data = vec![vec![f64::NAN; wide]; tall];
     for (k, frame) in frames.iter().enumerate() {
         for (picture, bottom) in [(&frame.filtered, 0), (&frame.fraction, up)] {
             for (row, values) in picture.chunks(columns).enumerate() {
@@ -578,7 +579,7 @@ pub fn film_figure(film: &Film, frames: &[&Frame], size: [f64; 2]) -> Figure {
     let (beside, below) = (half(columns, across), half(rows, up));
     let last = frames.len().saturating_sub(1) as f64;
     let map = Heatmap::new()
-        .with_data(data.clone())
+        .with_data(data)
         .with_x_range(-beside, last + beside)
         .with_y_range(-below, 1.0 + below)
         .with_cell_size(1.0 - 1e-6)
@@ -588,10 +589,10 @@ pub fn film_figure(film: &Film, frames: &[&Frame], size: [f64; 2]) -> Figure {
         })));
     let plots = vec![Plot::Heatmap(map)];
     let pixels = (FILM_PIXELS / columns.max(rows)).max(1);
-    let width = (data[0].len() * pixels) as f64 / f64::from(PNG_SCALE);
+    let width = (wide * pixels) as f64 / f64::from(PNG_SCALE);
     // Elements are as high as they are in the box.
     let aspect = size[1] / size[0] * columns as f64 / rows as f64;
-    let height = (data.len() * pixels) as f64 / f64::from(PNG_SCALE) * aspect;
+    let height = (tall * pixels) as f64 / f64::from(PNG_SCALE) * aspect;
     let [left, right, top, bottom] = FILM_MARGINS;
     let right = right.max(NARROWEST - width - left);
     let layout =
