@@ -34,7 +34,7 @@
 //! | | `friction_coefficient` | Coulomb's, of two particles | 0 to 10 | 0.3 |
 //! | | `steps_per_contact` | time steps in a contact, at least | 20 to 1000 | 25 |
 //! | | `mapping` | how a particle is shared among cells | `"trilinear"`, `"divided"` | `"trilinear"` |
-//! | | `smoothing` | standard deviation of the Gaussian that it is spread to afterwards | 0 or a length up to a quarter of the box | 0 |
+//! | | `smoothing` | standard deviation of what it is spread to by its shares and a Gaussian; 0: by its shares alone, which narrow with the cells | 0, or a length from that of the shares to a quarter of the box | 1.36 d, or that of the shares if they are wider |
 //! | | `start` | where the particles start: at random places, on a cubic lattice, or as a table lists them (.csv, beside the case file; see [`resolved::start`](crate::resolved::start)) | `"random"`, `"lattice"`, a file's name | `"random"` |
 //! | | `diameters` | several diameters, each with its share of the solids' volume, or a log-normal distribution; their Sauter mean is the powder's `diameter` | `[{ diameter = "60 um", share = 0.3 }, ...]`, `{ geometric_deviation = 1.2 }` (1.001 to 1.5) | all equal |
 //! | | `mixture_drag` | how the drag law serves other diameters than the powder's: the law of equal spheres of each diameter, or that of the Sauter mean times d_i/d (van der Hoef et al. 2005) | `"own-diameter"`, `"van-der-hoef"` | `"own-diameter"` |
@@ -148,7 +148,7 @@ pub struct ParticlesCase {
     pub steps_per_contact: f64,
     /// How a particle is shared among cells.
     pub mapping: MappingChoice,
-    /// Standard deviation of the Gaussian that it is spread to afterwards \[m\]; 0 for none.
+    /// Standard deviation of what it is spread to \[m\]; 0 for that of its shares in cells alone.
     pub smoothing: f64,
     /// `start` and `diameters`.
     pub start: ParticlesStart,
@@ -1041,9 +1041,10 @@ precision = "f64"
             // Particles are of a case that follows them.
             let default = if section == "particles" { particles } else { DEFAULT };
             assert!(default.contains(&format!("[{section}]")));
-            // Of edges it shows how; the flux of the uniform state has no number.
+            // Of edges it shows how; the flux of the uniform state has no number, and a width that goes by the
+            // cells neither.
             let named = |key: &&&str| {
-                !["cell", "gas_flux", "stiffness", "diameters"].contains(*key)
+                !["cell", "gas_flux", "stiffness", "diameters", "smoothing"].contains(*key)
                     && !key.ends_with("_edges")
             };
             for key in keys.iter().filter(named) {
@@ -1234,6 +1235,13 @@ precision = "f64"
         // takes on the way, a tenth for e = 0.9.
         assert!((particles.contact.stiffness - 3.17).abs() < 0.01, "{particles:?}");
         assert_eq!((particles.contact.restitution, particles.smoothing), (0.9, 0.0));
+        // Finer cells do not narrow what a particle is spread to, unless that is asked for.
+        let finer = text.replace("cells = [8, 8, 32]", "cells = [12, 12, 48]");
+        let smoothing = |text: &str| Case::parse(text, "x").unwrap().particles.unwrap().smoothing;
+        assert!((smoothing(&finer) / 1.02e-4 - 1.0).abs() < 1e-12);
+        let bare =
+            finer.replace("mapping = \"trilinear\"", "smoothing = 0\nmapping = \"trilinear\"");
+        assert_eq!(smoothing(&bare), 0.0);
         // Nothing is perturbed: a bed may be as dense as its packing allows.
         let dense = text.replace("solids_fraction = 0.05 ", "solids_fraction = 0.62 ");
         assert_eq!(Case::parse(&dense, "x").unwrap().run.perturbation, 0.0);
@@ -1264,7 +1272,18 @@ precision = "f64"
                 "leave it out",
             ),
             ("duration", "precision = \"f32\"\nduration", "[run] precision", "two-fluid"),
-            ("smoothing = 0 ", "smoothing = 1 #", "[particles] smoothing", "a quarter"),
+            (
+                "mapping = \"trilinear\"",
+                "smoothing = 1\nmapping = \"trilinear\"",
+                "[particles] smoothing",
+                "a quarter",
+            ),
+            (
+                "mapping = \"trilinear\"",
+                "smoothing = 1e-4\nmapping = \"trilinear\"",
+                "[particles] smoothing",
+                "no less than the 1.02e-4 m",
+            ),
             (
                 "steps_per_contact = 25",
                 "steps_per_contact = 5",

@@ -37,7 +37,7 @@ mod smoothing;
 mod start;
 mod state;
 
-pub use smoothing::Smoothing;
+pub use smoothing::{WIDTH, variance_of_shares};
 pub use start::{SpheresError, sauter_mean, spheres};
 pub use state::StateError;
 
@@ -106,7 +106,8 @@ pub struct Setup {
     pub steps_per_contact: f64,
     /// How a particle's volume is shared among cells.
     pub mapping: MappingChoice,
-    /// Standard deviation of the Gaussian that it is spread to afterwards \[m\]; 0 for none.
+    /// Standard deviation of what it is spread to, its shares included, if cells alone do not spread it as
+    /// far \[m\].
     pub smoothing: f64,
     /// A time that is a whole number of contact steps, such as that between samples \[s\].
     pub rhythm: f64,
@@ -304,7 +305,7 @@ impl CfdDem {
             setup: Setup { solids_fraction: mean, ..setup },
             law,
             drag_on: setup.drag.of_spheres(setup.mixture, &gas, &powder),
-            mapping: Mapping::new(&grid, setup.mapping, setup.smoothing),
+            mapping: Mapping::new(&grid, setup.mapping, powder.diameter, setup.smoothing),
             buoyancy: [gravity * (mixture - powder.density), gravity * (mixture - gas.density)],
             radius: 0.5 * powder.diameter,
             volume,

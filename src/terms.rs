@@ -1,8 +1,10 @@
 //! [`terms`]: which terms of the equations a case models, and why.
 
 use crate::case::{Case, Diameters, FrictionChoice, GranularEnergyChoice, Places, with_friction};
+use crate::cfd_dem::{WIDTH, variance_of_shares};
 use crate::laws::friction::Friction;
 use serde::Serialize;
+use std::f64::consts::PI;
 use std::fmt;
 
 /// A term of the equations.
@@ -89,7 +91,34 @@ pub fn terms(case: &Case) -> Vec<Term> {
                 }
             },
         };
-        return [contacts, pull, sizes].into_iter().chain(of_the_gas).collect();
+        let cells = domain.size.iter().zip(&domain.cells).map(|(size, n)| size / *n as f64);
+        let cell = cells.fold(f64::INFINITY, f64::min);
+        let own = variance_of_shares(particles.mapping, cell, powder.diameter).sqrt();
+        let width = particles.smoothing.max(own) / powder.diameter;
+        let spread = Term {
+            name: "smoothing",
+            on: particles.smoothing > own,
+            why: format!(
+                "cells of {:.2} d alone spread a particle by {:.2} d{}",
+                cell / powder.diameter,
+                own / powder.diameter,
+                if particles.smoothing > own {
+                    format!(", and on any cells it is {width:.2} d")
+                } else if width < 0.99 * WIDTH {
+                    let few = domain.solids_fractions.iter().copied().fold(1.0, f64::min)
+                        * (cell / powder.diameter).powi(3)
+                        * 6.0
+                        / PI;
+                    format!(
+                        ": with {few:.1} particles in a cell at ⟨φ⟩ = {least}, drag follows their noise and \
+                         H counts it as clusters"
+                    )
+                } else {
+                    String::new()
+                }
+            ),
+        };
+        return [contacts, pull, sizes, spread].into_iter().chain(of_the_gas).collect();
     }
     let of_the_solids = [
         Term {
@@ -149,6 +178,31 @@ mod tests {
 
     fn line(terms: &[Term], name: &str) -> String {
         terms.iter().find(|term| term.name == name).unwrap().to_string()
+    }
+
+    #[test]
+    fn particles_are_spread_as_far_on_any_cells_and_a_case_that_does_not_want_it_is_told() {
+        let text = include_str!("../examples/cfd-dem.toml");
+        let of = |cells: &str, smoothing: &str| {
+            let text = text.replace("cells = [8, 8, 32]", cells);
+            let text = text.replace("mapping =", &format!("{smoothing}\nmapping ="));
+            line(&terms(&Case::parse(&text, "test").unwrap()), "smoothing")
+        };
+        let own = "cells of 3.33 d alone spread a particle by 1.36 d";
+        assert_eq!(of("cells = [8, 8, 32]", ""), format!("smoothing off: {own}"));
+        let own = "cells of 1.67 d alone spread a particle by 0.68 d";
+        assert_eq!(
+            of("cells = [16, 16, 64]", ""),
+            format!("smoothing on: {own}, and on any cells it is 1.36 d")
+        );
+        // 0.05 · 1.67³ · 6/π.
+        assert_eq!(
+            of("cells = [16, 16, 64]", "smoothing = 0"),
+            format!(
+                "smoothing off: {own}: with 0.4 particles in a cell at ⟨φ⟩ = 0.05, drag follows their noise \
+                 and H counts it as clusters"
+            )
+        );
     }
 
     #[test]

@@ -106,7 +106,7 @@ fn allocations_of_spheres_in_gas() -> usize {
         },
         steps_per_contact: 25.0,
         mapping: MappingChoice::Divided,
-        smoothing: 1e-4,
+        smoothing: 1.5e-4,
         rhythm: 1e-3,
         seed: 1,
         parallel: false,

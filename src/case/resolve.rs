@@ -16,6 +16,7 @@ use super::{
     ParticlesCase, ParticlesStart, Physics, Places, Precision, RadialDistributionChoice, RunCase,
     SolverChoice, Terms, quoted,
 };
+use crate::cfd_dem::{WIDTH, variance_of_shares};
 use crate::laws::contact::{Contact, cohesion_of, pull, stiffness_for};
 use crate::laws::scales::{Gas, Powder, Scales};
 use std::f64::consts::PI;
@@ -385,19 +386,30 @@ fn resolve_particles(
             );
         }
     }
+    let mapping = typed.mapping.as_ref().map_or(MappingChoice::Trilinear, |typed| typed.value);
+    // Standard deviation of the narrowest shares, and the shortest edge.
+    let [bare, shortest] = domain.map_or([0.0, f64::INFINITY], |(size, cells)| {
+        let least = |numbers: &mut dyn Iterator<Item = f64>| numbers.fold(f64::INFINITY, f64::min);
+        let cell = least(&mut size.iter().zip(cells).map(|(size, n)| size / *n as f64));
+        let bare = variance_of_shares(mapping, cell, powder.diameter).sqrt();
+        [bare, least(&mut size.iter().copied())]
+    });
     let smoothing = match &typed.smoothing {
-        None => Some(0.0),
+        None => {
+            let width = (WIDTH * powder.diameter).min(0.25 * shortest);
+            Some(if width > bare { width } else { 0.0 })
+        }
         Some(typed) => {
-            let shortest = domain.map_or(f64::INFINITY, |(size, _)| {
-                size.iter().copied().fold(f64::INFINITY, f64::min)
-            });
-            let length = typed.value.si(scales)?;
-            if (0.0..=0.25 * shortest).contains(&length) {
-                Some(length)
+            let width = typed.value.si(scales)?;
+            if width == 0.0 || (bare..=0.25 * shortest).contains(&width) {
+                Some(width)
             } else {
                 problems.refuse(
                     typed,
-                    "0 or a length up to a quarter of the shortest edge is accepted",
+                    format!(
+                        "0 or a length up to a quarter of the shortest edge is accepted, no less than the \
+                         {bare:.2e} m to which the cells alone spread a particle"
+                    ),
                 );
                 None
             }
@@ -413,7 +425,7 @@ fn resolve_particles(
             cohesion: cohesion?,
         },
         steps_per_contact: steps_per_contact?,
-        mapping: typed.mapping.as_ref().map_or(MappingChoice::Trilinear, |typed| typed.value),
+        mapping,
         smoothing: smoothing?,
         start: start?,
         mixture: typed

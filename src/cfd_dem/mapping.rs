@@ -5,7 +5,7 @@
 //! Σ_p K_p Σ_c w_pc u_c = Σ_c u_c Σ_p w_pc K_p. Shares add up to one, so that volume, mass and
 //! momentum are kept.
 
-use super::Smoothing;
+use super::smoothing::{Smoothing, variance_of_shares};
 use crate::case::MappingChoice;
 use crate::dem::Quad;
 use crate::grid::Grid;
@@ -75,12 +75,15 @@ fn along(choice: MappingChoice, place: f64, edge: f64) -> (f64, f64) {
 }
 
 impl Mapping {
-    pub fn new(grid: &Grid<3>, choice: MappingChoice, length: f64) -> Self {
+    /// Of particles of about `diameter`, spread to the standard deviation `width` along each axis where their
+    /// shares in cells alone are narrower \[m\].
+    pub fn new(grid: &Grid<3>, choice: MappingChoice, diameter: f64, width: f64) -> Self {
+        let missing = |h| (width.powi(2) - variance_of_shares(choice, h, diameter)).max(0.0);
         Self {
             cells: grid.cells,
             inverse_spacing: grid.spacing.map(|h| 1.0 / h),
             choice,
-            smoothing: Smoothing::new(grid.spacing, length),
+            smoothing: Smoothing::new(grid.spacing, grid.spacing.map(missing)),
             scratch: Vec::new(),
         }
     }
@@ -115,7 +118,7 @@ impl Mapping {
         }
     }
 
-    /// Spreads what cells hold to a Gaussian of the length asked for, keeping its sum: explicit steps of
+    /// Spreads what cells hold by a Gaussian to the width asked for, keeping its sum: explicit steps of
     /// diffusion. It is its own adjoint, so that what was shared is spread, and what will be seen.
     pub fn smooth<const N: usize>(&mut self, values: &mut [[f64; N]]) {
         let [nx, ny, nz] = self.cells;
@@ -162,7 +165,7 @@ mod tests {
     const GRID: [usize; 3] = [8, 10, 12];
 
     fn mapping(choice: MappingChoice, length: f64) -> Mapping {
-        Mapping::new(&Grid::new([0.8, 1.0, 1.2], GRID), choice, length)
+        Mapping::new(&Grid::new([0.8, 1.0, 1.2], GRID), choice, 0.1, length)
     }
 
     proptest! {
@@ -201,27 +204,69 @@ mod tests {
         assert!(shares.cells.contains(&0) && shares.cells.contains(&959));
     }
 
-    #[test]
-    fn smoothing_keeps_sums_has_the_variance_asked_for_and_is_its_own_adjoint() {
-        let grid = Grid::new([3.2, 3.2, 3.2], [32; 3]);
-        let mut mapping = Mapping::new(&grid, MappingChoice::Trilinear, 0.15);
-        let mut values = vec![[0.0]; 32 * 32 * 32];
-        let at = |i: usize, j: usize, k: usize| (k * 32 + j) * 32 + i;
-        values[at(16, 16, 16)] = [1.0];
-        mapping.smooth(&mut values);
-        let sum: f64 = values.iter().map(|[v]| v).sum();
-        assert!((sum - 1.0).abs() < 1e-13);
-        for axis in 0..3 {
-            let square = |c: usize| {
-                let i = [c % 32, c / 32 % 32, c / 1024][axis] as f64 - 16.0;
-                0.01 * i * i
-            };
-            let variance: f64 = values.iter().enumerate().map(|(c, [v])| v * square(c)).sum();
-            assert!((variance / 0.0225 - 1.0).abs() < 1e-12, "{variance}");
+    /// Mean over many places of the variance about the particle of what it is spread to, along each axis.
+    fn variance(mapping: &mut Mapping, spacing: [f64; 3], radius: f64) -> [f64; 3] {
+        let [nx, ny, _] = mapping.cells;
+        let mut mean = [0.0; 3];
+        let places = 200;
+        for n in 0..places {
+            let part = |step: f64| (0.5 + step * n as f64).fract();
+            let shift = [part(0.618_033_988_7), part(0.754_877_666), part(0.569_840_29)];
+            let place: [f64; 3] = std::array::from_fn(|axis| {
+                (mapping.cells[axis] as f64 / 2.0 + shift[axis]) * spacing[axis]
+            });
+            let mut values = vec![[0.0]; mapping.cells.iter().product()];
+            let [x, y, z] = place;
+            mapping.shares(Quad([x, y, z, radius])).give(&mut values, [1.0]);
+            mapping.smooth(&mut values);
+            let sum: f64 = values.iter().map(|[v]| v).sum();
+            assert!((sum - 1.0).abs() < 1e-13);
+            for (c, [v]) in values.iter().enumerate() {
+                let cell = [c % nx, c / nx % ny, c / (nx * ny)];
+                for axis in 0..3 {
+                    let from = (cell[axis] as f64 + 0.5) * spacing[axis] - place[axis];
+                    mean[axis] += v * from * from / f64::from(places);
+                }
+            }
         }
-        let mut other = vec![[0.0]; values.len()];
-        other[at(14, 17, 15)] = [1.0];
-        mapping.smooth(&mut other);
-        assert!((values[at(14, 17, 15)][0] - other[at(16, 16, 16)][0]).abs() < 1e-16);
+        mean
+    }
+
+    #[test]
+    fn a_particle_is_spread_to_the_width_asked_for_on_any_cells() {
+        for choice in [MappingChoice::Trilinear, MappingChoice::Divided] {
+            for (cells, spacing) in [([24; 3], [0.1; 3]), ([24, 32, 18], [0.1, 0.08, 0.14])] {
+                let size = std::array::from_fn(|axis| cells[axis] as f64 * spacing[axis]);
+                let grid = Grid::new(size, cells);
+                let mut wide = Mapping::new(&grid, choice, 0.06, 0.15);
+                for found in variance(&mut wide, spacing, 0.03) {
+                    assert!((found / 0.0225 - 1.0).abs() < 0.003, "{choice:?} {found}");
+                }
+                // Nothing makes it narrower than cells alone do.
+                let mut bare = Mapping::new(&grid, choice, 0.06, 0.01);
+                assert_eq!(bare.smoothing.steps, 0);
+                let found = variance(&mut bare, spacing, 0.03);
+                for axis in 0..3 {
+                    let expected = variance_of_shares(choice, spacing[axis], 0.06);
+                    assert!((found[axis] / expected - 1.0).abs() < 0.03, "{choice:?} {found:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn smoothing_is_its_own_adjoint() {
+        let grid = Grid::new([1.6; 3], [16; 3]);
+        let mut mapping = Mapping::new(&grid, MappingChoice::Trilinear, 0.1, 0.15);
+        let at = |i: usize, j: usize, k: usize| (k * 16 + j) * 16 + i;
+        let mut point = |place: usize| {
+            let mut values = vec![[0.0]; 16 * 16 * 16];
+            values[place] = [1.0];
+            mapping.smooth(&mut values);
+            values
+        };
+        let (a, b) = (at(8, 8, 8), at(6, 9, 7));
+        let (from_a, from_b) = (point(a), point(b));
+        assert!(from_a[b][0] > 1e-3 && (from_a[b][0] - from_b[a][0]).abs() < 1e-16);
     }
 }

@@ -83,7 +83,7 @@ fn other(solids_fraction: f64) -> Setup {
         gas_stress: true,
         drive: Drive::GasFlux(None),
         contact: Contact { cohesion: 0.02, ..setup.contact },
-        smoothing: 1e-4,
+        smoothing: 1.5e-4,
         ..setup
     }
 }

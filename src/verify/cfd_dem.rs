@@ -129,7 +129,7 @@ fn packing() -> Result<Row, Box<dyn Error>> {
 
 fn budgets(effort: Effort) -> Result<Vec<Row>, Box<dyn Error>> {
     let setup = setup(DragChoice::WenYu, MappingChoice::Divided, 0.15);
-    let mut flow = CfdDem::new(grid([8, 8, 16]), Setup { smoothing: 1e-4, ..setup })?;
+    let mut flow = CfdDem::new(grid([8, 8, 16]), Setup { smoothing: 1.5e-4, ..setup })?;
     let start = flow.means();
     advance(&mut flow, if effort == Effort::Quick { 0.02 } else { 0.1 })?;
     let end = flow.means();
