@@ -37,7 +37,6 @@ mod smoothing;
 mod start;
 mod state;
 
-pub use smoothing::{WIDTH, variance_of_shares};
 pub use start::{SpheresError, sauter_mean, spheres};
 pub use state::StateError;
 

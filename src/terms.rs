@@ -1,7 +1,8 @@
 //! [`terms`]: which terms of the equations a case models, and why.
 
-use crate::case::{Case, Diameters, FrictionChoice, GranularEnergyChoice, Places, with_friction};
-use crate::cfd_dem::{WIDTH, variance_of_shares};
+use crate::case::{
+    Case, Diameters, FrictionChoice, GranularEnergyChoice, Places, SPREAD, with_friction,
+};
 use crate::laws::friction::Friction;
 use serde::Serialize;
 use std::f64::consts::PI;
@@ -93,7 +94,7 @@ pub fn terms(case: &Case) -> Vec<Term> {
         };
         let cells = domain.size.iter().zip(&domain.cells).map(|(size, n)| size / *n as f64);
         let cell = cells.fold(f64::INFINITY, f64::min);
-        let own = variance_of_shares(particles.mapping, cell, powder.diameter).sqrt();
+        let own = particles.mapping.variance(cell, powder.diameter).sqrt();
         let width = particles.smoothing.max(own) / powder.diameter;
         let spread = Term {
             name: "smoothing",
@@ -104,7 +105,7 @@ pub fn terms(case: &Case) -> Vec<Term> {
                 own / powder.diameter,
                 if particles.smoothing > own {
                     format!(", and on any cells it is {width:.2} d")
-                } else if width < 0.99 * WIDTH {
+                } else if width < 0.99 * SPREAD {
                     let few = domain.solids_fractions.iter().copied().fold(1.0, f64::min)
                         * (cell / powder.diameter).powi(3)
                         * 6.0

@@ -14,9 +14,8 @@ use super::{
     Case, Diameters, Domain, DragChoice, Drive, DriveChoice, EdgesChoice, FieldsChoice, FilterCase,
     FrictionChoice, KernelChoice, MappingChoice, MarkerChoice, MixtureChoice, OutputCase,
     ParticlesCase, ParticlesStart, Physics, Places, Precision, RadialDistributionChoice, RunCase,
-    SolverChoice, Terms, quoted,
+    SPREAD, SolverChoice, Terms, quoted,
 };
-use crate::cfd_dem::{WIDTH, variance_of_shares};
 use crate::laws::contact::{Contact, cohesion_of, pull, stiffness_for};
 use crate::laws::scales::{Gas, Powder, Scales};
 use std::f64::consts::PI;
@@ -391,12 +390,12 @@ fn resolve_particles(
     let [bare, shortest] = domain.map_or([0.0, f64::INFINITY], |(size, cells)| {
         let least = |numbers: &mut dyn Iterator<Item = f64>| numbers.fold(f64::INFINITY, f64::min);
         let cell = least(&mut size.iter().zip(cells).map(|(size, n)| size / *n as f64));
-        let bare = variance_of_shares(mapping, cell, powder.diameter).sqrt();
+        let bare = mapping.variance(cell, powder.diameter).sqrt();
         [bare, least(&mut size.iter().copied())]
     });
     let smoothing = match &typed.smoothing {
         None => {
-            let width = (WIDTH * powder.diameter).min(0.25 * shortest);
+            let width = (SPREAD * powder.diameter).min(0.25 * shortest);
             Some(if width > bare { width } else { 0.0 })
         }
         Some(typed) => {

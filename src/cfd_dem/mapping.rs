@@ -5,7 +5,7 @@
 //! Σ_p K_p Σ_c w_pc u_c = Σ_c u_c Σ_p w_pc K_p. Shares add up to one, so that volume, mass and
 //! momentum are kept.
 
-use super::smoothing::{Smoothing, variance_of_shares};
+use super::smoothing::Smoothing;
 use crate::case::MappingChoice;
 use crate::dem::Quad;
 use crate::grid::Grid;
@@ -78,7 +78,7 @@ impl Mapping {
     /// Of particles of about `diameter`, spread to the standard deviation `width` along each axis where their
     /// shares in cells alone are narrower \[m\].
     pub fn new(grid: &Grid<3>, choice: MappingChoice, diameter: f64, width: f64) -> Self {
-        let missing = |h| (width.powi(2) - variance_of_shares(choice, h, diameter)).max(0.0);
+        let missing = |h| (width.powi(2) - choice.variance(h, diameter)).max(0.0);
         Self {
             cells: grid.cells,
             inverse_spacing: grid.spacing.map(|h| 1.0 / h),
@@ -247,7 +247,7 @@ mod tests {
                 assert_eq!(bare.smoothing.steps, 0);
                 let found = variance(&mut bare, spacing, 0.03);
                 for axis in 0..3 {
-                    let expected = variance_of_shares(choice, spacing[axis], 0.06);
+                    let expected = choice.variance(spacing[axis], 0.06);
                     assert!((found[axis] / expected - 1.0).abs() < 0.03, "{choice:?} {found:?}");
                 }
             }

@@ -137,34 +137,16 @@ macro_rules! word {
 }
 
 /// A bit for each byte that is no digit.
-#[cfg(target_arch = "x86_64")]
-fn no_digits(bytes: &[u8; 64]) -> u64 {
-    use std::arch::x86_64::{
-        _mm_add_epi8, _mm_cmplt_epi8, _mm_loadu_si128, _mm_movemask_epi8, _mm_set1_epi8,
-    };
-    let digits = bytes.as_chunks::<16>().0.iter().map(|bytes| {
-        // SAFETY: every processor of this kind has SSE2, and 16 bytes are there to be read.
-        unsafe {
-            // Moved so that digits are less than all others.
-            let bytes = _mm_loadu_si128(bytes.as_ptr().cast());
-            let bytes = _mm_add_epi8(bytes, _mm_set1_epi8(i8::MIN.wrapping_sub_unsigned(b'0')));
-            _mm_movemask_epi8(_mm_cmplt_epi8(bytes, _mm_set1_epi8(i8::MIN + 10)))
-        }
-    });
-    !digits.zip([0, 16, 32, 48]).map(|(found, at)| u64::from(found as u32) << at).sum::<u64>()
-}
-
-/// A bit for each byte that is no digit.
-#[cfg(not(target_arch = "x86_64"))]
 fn no_digits(bytes: &[u8; 64]) -> u64 {
     const HIGH: u64 = u64::from_ne_bytes([0x80; 8]);
-    let found = bytes.as_chunks::<8>().0.iter().map(|bytes| {
+    let mut found = 0;
+    for bytes in bytes.as_chunks::<8>().0.iter().rev() {
         let word = word!(u64, bytes);
         let high = (((word & !HIGH) + u64::from_ne_bytes([0x76; 8])) | word) & HIGH;
         // Bit 8 i + 7 to bit 56 + i.
-        (high >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56
-    });
-    found.rev().fold(0, |all, found| all << 8 | found)
+        found = found << 8 | high.wrapping_mul(0x0002_0408_1020_4081) >> 56;
+    }
+    found
 }
 
 /// The `digits` that text begins with, `whole` ones of them before a point if `point` is 1, as the last
