@@ -325,7 +325,7 @@ impl fmt::Display for Summary {
         writeln!(f)?;
         writeln!(
             f,
-            "  ⟨φ⟩     slip/u_t         median [quartiles]      uniform  seen by particles  \
+            "  ⟨φ⟩     slip/u_t ± s.e.  median [quartiles]      uniform  seen by particles  \
              steady from"
         )?;
         for found in &self.boxes {
