@@ -106,10 +106,7 @@ pub fn terms(case: &Case) -> Vec<Term> {
                 if particles.smoothing > own {
                     format!(", and on any cells it is {width:.2} d")
                 } else if width < 0.99 * SPREAD {
-                    let few = domain.solids_fractions.iter().copied().fold(1.0, f64::min)
-                        * (cell / powder.diameter).powi(3)
-                        * 6.0
-                        / PI;
+                    let few = least * (cell / powder.diameter).powi(3) * 6.0 / PI;
                     format!(
                         ": with {few:.1} particles in a cell at ⟨φ⟩ = {least}, drag follows their noise and \
                          H counts it as clusters"
