@@ -59,12 +59,13 @@ fn main() {
         let path = dir.path().join("points");
         let piped = |options: &[&str]| {
             let passes = (0..5).map(|_| {
+                let (from, to) = (File::open(&path), File::create(dir.path().join("values")));
                 let start = Instant::now();
                 let done = Command::new(cargo_bin!("favre"))
                     .args(["models", "eval", &name, "--stdin"])
                     .args(options)
-                    .stdin(File::open(&path).expect("points"))
-                    .stdout(File::create(dir.path().join("values")).expect("values"))
+                    .stdin(from.expect("points"))
+                    .stdout(to.expect("values"))
                     .stderr(Stdio::inherit())
                     .status();
                 assert!(done.expect("favre").success());

@@ -172,7 +172,7 @@ fn eval(args: &cli::Eval) -> Result<(), Failure> {
 }
 
 /// Bytes that are read together: they, the points in them and the values stay in cache.
-const BLOCK: usize = 1 << 16;
+const BLOCK: usize = 1 << 17;
 
 /// Evaluates the points.
 fn evaluate(quantity: &Quantity, columns: &Columns, values: &mut Vec<f64>) {

@@ -9,6 +9,7 @@ use super::{Comparison, Expression, Function, Node, Operator};
 use crate::real::Real;
 use crate::rows::simd;
 use std::collections::{BTreeSet, HashMap};
+use wide::u8x16;
 
 /// Points that go through together: registers of so many numbers stay in the second cache.
 const CHUNK: usize = 256;
@@ -103,6 +104,9 @@ struct Arm {
     right: usize,
     value: Block,
 }
+
+/// Conditions that a piecewise formula may have: which one holds is a byte.
+const MOST_ARMS: usize = 254;
 
 /// Definitions that lead to each other deeper than this are a circle or a mistake.
 const DEEPEST: usize = 50;
@@ -481,19 +485,17 @@ impl Program {
                 Comparison::GreaterOrEqual => mark(which, left, right, number, |a, b| a >= b),
             }
         }
-        let mut lists = vec![0u16; (arms.len() + 1) * count];
-        let mut lengths = vec![0; arms.len() + 1];
-        for (i, arm) in which.iter().enumerate() {
-            let arm = *arm as usize;
-            lists[arm * count + lengths[arm]] = i as u16;
-            lengths[arm] += 1;
+        // Beyond the points none holds.
+        let mut choices = [u8::MAX; CHUNK];
+        for (choice, which) in choices.iter_mut().zip(which) {
+            *choice = *which as u8;
         }
-        let values = arms.iter().map(|arm| &arm.value).chain([last]);
-        for ((value, list), length) in values.zip(lists.chunks_exact(count)).zip(lengths) {
-            if length == 0 {
+        let mut list = [0; CHUNK];
+        for (number, value) in arms.iter().map(|arm| &arm.value).chain([last]).enumerate() {
+            let list = places(&choices, number as u8, &mut list);
+            if list.is_empty() {
                 continue;
             }
-            let list = &list[..length];
             for (from, to) in &value.carried {
                 let (to, others) = registers.apart(*to);
                 let from = &others.get(*from)[..count];
@@ -501,7 +503,7 @@ impl Program {
                     *to = from[usize::from(*i)];
                 }
             }
-            self.run(value.block, length, registers);
+            self.run(value.block, list.len(), registers);
             let (out, others) = registers.apart(out);
             let out = &mut out[..count];
             for (found, i) in others.get(value.result).iter().zip(list) {
@@ -509,6 +511,20 @@ impl Program {
             }
         }
     }
+}
+
+/// Where in `choices` a number is.
+fn places<'a>(choices: &[u8; CHUNK], number: u8, list: &'a mut [u8; CHUNK]) -> &'a [u8] {
+    let mut length = 0;
+    for (k, choices) in choices.as_chunks().0.iter().enumerate() {
+        let mut found = u8x16::from(*choices).simd_eq(u8x16::splat(number)).to_bitmask();
+        while found != 0 {
+            list[length] = (16 * k) as u8 + found.trailing_zeros() as u8;
+            found &= found - 1;
+            length += 1;
+        }
+    }
+    &list[..length]
 }
 
 simd! {
@@ -689,6 +705,12 @@ impl<'a> Compiler<'a> {
                 Ok(result)
             }
             Node::Piecewise(arms, last) => {
+                if arms.len() > MOST_ARMS {
+                    return Err(format!(
+                        "a piecewise formula of {} conditions is too long: {MOST_ARMS} at most; nest it",
+                        arms.len()
+                    ));
+                }
                 let mut compiled = Vec::new();
                 for (condition, value) in arms {
                     let left = self.node(&condition.left, block)?;
@@ -847,6 +869,9 @@ mod tests {
         assert_eq!(compiled("x + z").unwrap_err(), "`z` is not known here");
         assert!(compiled("circle").unwrap_err().contains("leads back to itself"));
         assert!(compiled("x[0]").unwrap_err().contains("no vectors"));
+        let pieces = |count| format!("piecewise({} 7)", "x < 1, 2, ".repeat(count));
+        assert_eq!(compiled(&pieces(MOST_ARMS)).unwrap().at(&[1.5, 0.0]), 7.0);
+        assert!(compiled(&pieces(MOST_ARMS + 1)).unwrap_err().contains("too long: 254 at most"));
     }
 
     #[test]

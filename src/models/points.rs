@@ -5,6 +5,7 @@
 //! one before. Every other line is read number by number.
 
 use std::io;
+use wide::u8x16;
 
 /// Bytes that must follow the lines, of any value: numbers are read eight bytes at a time, and what is no
 /// digit is looked for in 64.
@@ -137,26 +138,15 @@ macro_rules! word {
 }
 
 /// A bit for each byte that is no digit.
+#[inline(always)]
 fn no_digits(bytes: &[u8; 64]) -> u64 {
-    const HIGH: u64 = u64::from_ne_bytes([0x80; 8]);
     let mut found = 0;
-    for bytes in bytes.as_chunks::<8>().0.iter().rev() {
-        let word = word!(u64, bytes);
-        let high = (((word & !HIGH) + u64::from_ne_bytes([0x76; 8])) | word) & HIGH;
-        // Bit 8 i + 7 to bit 56 + i.
-        found = found << 8 | high.wrapping_mul(0x0002_0408_1020_4081) >> 56;
+    for bytes in bytes.as_chunks().0.iter().rev() {
+        let numbers = u8x16::from(*bytes) ^ u8x16::splat(b'0');
+        // It saturates, and what is 10 or more sets the highest bit.
+        found = found << 16 | u64::from(numbers.saturating_add(u8x16::splat(0x76)).to_bitmask());
     }
     found
-}
-
-/// The `digits` that text begins with, `whole` ones of them before a point if `point` is 1, as the last
-/// ones of a [`word`], without the point and after zeros.
-macro_rules! aligned {
-    ($number:ty, $text:expr, $whole:ident, $point:ident, $digits:ident) => {{
-        let word = word!($number, $text);
-        let behind = <$number>::MAX.checked_shl(8 * $whole as u32).unwrap_or(0);
-        (word & !behind | (word >> (8 * $point)) & behind) << (8 * (size_of::<$number>() - $digits))
-    }};
 }
 
 /// The number that the eight digits of a [`word`] are.
@@ -224,7 +214,7 @@ fn quick_line(
     loop {
         let mut mark = marks.next();
         let mut sign = 1.0;
-        if mark == at {
+        if mark == at && text[mark] != b'.' {
             while mark == at && text[mark] == b' ' {
                 at += 1;
                 mark = marks.next();
@@ -235,33 +225,48 @@ fn quick_line(
                 mark = marks.next();
             }
         }
+        let near: &[u8; 16] = text[at..].first_chunk()?;
         let whole = mark - at;
-        let point = usize::from(text[mark] == b'.');
-        if point == 1 {
-            mark = marks.next();
-        }
-        let length = mark - at;
-        let digits = length - point;
-        if digits == 0 || length > 15 {
+        if whole > 15 {
             return None;
         }
-        let value = if length <= 8 {
-            eight_digits(aligned!(u64, text[at..], whole, point, digits))
+        let (mut length, mut fraction) = (whole, 0);
+        if near[whole] == b'.' {
+            mark = marks.next();
+            length = mark - at;
+            fraction = length - whole - 1;
+        }
+        // The digits as the last ones of a word, after zeros; those behind the point are a byte further on.
+        let value = if fraction > 0 && length <= 9 {
+            let (word, next) = (word!(u64, near), word!(u64, near[1..]));
+            let behind = u64::MAX << (8 * whole);
+            eight_digits((word ^ (word ^ next) & behind) << (8 * (9 - length)))
         } else {
-            let word = aligned!(u128, text[at..], whole, point, digits);
+            let point = usize::from(length > whole);
+            let digits = length - point;
+            if digits == 0 || length > 15 {
+                return None;
+            }
+            let word = word!(u128, near);
+            let (next, behind) = (word >> (8 * point), u128::MAX << (8 * whole));
+            let word = (word ^ (word ^ next) & behind) << (8 * (16 - digits));
             100_000_000 * eight_digits(word as u64) + eight_digits((word >> 64) as u64)
         };
-        numbers[column] = sign * (value as i64 as f64 / TENS[digits - whole]);
+        numbers[column] = sign * (value as i64 as f64 / TENS[fraction & 15]);
         column += stride;
         at = mark + 1;
-        match text[mark] {
-            b'\n' => return (column >= numbers.len()).then_some(at),
-            b' ' | b',' | b'\t' if column < numbers.len() => {}
-            b'\r' if column >= numbers.len() && text[at] == b'\n' => {
-                marks.next();
-                return Some(at + 1);
+        let end = near[length];
+        if column < numbers.len() {
+            if !matches!(end, b' ' | b',' | b'\t') {
+                return None;
             }
-            _ => return None,
+        } else if end == b'\n' {
+            return Some(at);
+        } else if end == b'\r' && text[at] == b'\n' {
+            marks.next();
+            return Some(at + 1);
+        } else {
+            return None;
         }
     }
 }
@@ -277,28 +282,37 @@ impl Lines {
     pub fn of(&mut self, values: &[f64]) -> &[u8] {
         /// More than a line has bytes.
         const LONGEST: usize = 32;
+        /// Numbers that are made before the first is moved: what was just written in pieces is slow to read as
+        /// a whole.
+        const BATCH: usize = 16;
         if self.text.len() < LONGEST * values.len() {
             self.text.resize(LONGEST * values.len(), 0);
         }
-        let mut shortest = zmij::Buffer::new();
+        let mut shortest: [_; BATCH] = std::array::from_fn(|_| zmij::Buffer::new());
         let mut at = 0;
-        for value in values {
-            let text = shortest.format(*value).as_bytes();
-            let (line, length) = (&mut self.text[at..at + LONGEST], text.len());
-            // Sizes that are known are moved without a call; the two overlap.
-            match length {
-                16.. => {
-                    line[..16].copy_from_slice(&text[..16]);
-                    line[length - 16..length].copy_from_slice(&text[length - 16..]);
-                }
-                8.. => {
-                    line[..8].copy_from_slice(&text[..8]);
-                    line[length - 8..length].copy_from_slice(&text[length - 8..]);
-                }
-                _ => line[..length].copy_from_slice(text),
+        for values in values.chunks(BATCH) {
+            let mut texts = [""; BATCH];
+            for ((text, buffer), value) in texts.iter_mut().zip(&mut shortest).zip(values) {
+                *text = buffer.format(*value);
             }
-            line[length] = b'\n';
-            at += length + 1;
+            for text in &texts[..values.len()] {
+                let text = text.as_bytes();
+                let (line, length) = (&mut self.text[at..at + LONGEST], text.len());
+                // Sizes that are known are moved without a call; the two overlap.
+                match length {
+                    16.. => {
+                        line[..16].copy_from_slice(&text[..16]);
+                        line[length - 16..length].copy_from_slice(&text[length - 16..]);
+                    }
+                    8.. => {
+                        line[..8].copy_from_slice(&text[..8]);
+                        line[length - 8..length].copy_from_slice(&text[length - 8..]);
+                    }
+                    _ => line[..length].copy_from_slice(text),
+                }
+                line[length] = b'\n';
+                at += length + 1;
+            }
         }
         &self.text[..at]
     }
