@@ -424,7 +424,7 @@ pub enum GranularEnergyChoice {
     /// Its balance equation is solved.
     Transport,
     /// What makes it and what dissipates it balance in each cell, as of
-    /// [`balanced_speed`](crate::laws::kinetic_theory::balanced_speed): neither the
+    /// [`EnergyBalance::at_once`](crate::laws::kinetic_theory::EnergyBalance::at_once): neither the
     /// solids nor conduction carry it, and none is kept. Shear and compression heat by the
     /// temperature of the step before.
     Algebraic,

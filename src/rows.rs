@@ -11,6 +11,7 @@
 use crate::field::{Field, HALO, Layout, Row};
 use crate::real::Real;
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 /// Rows that one thread does at a time; also the leaf of the reduction tree.
@@ -340,6 +341,17 @@ macro_rules! sum_axes {
     }};
 }
 pub(crate) use sum_axes;
+
+/// Elements that a kernel of several stages takes through all of them before the next: a formula of hundreds
+/// of operations, each waiting for the one before, is slow as one loop, because a processor looks ahead by a
+/// couple of hundred instructions and so finds little else to do meanwhile.
+pub(crate) const BLOCK: usize = 128;
+
+/// The elements of a row of `n`, [`BLOCK`] at a time.
+#[inline(always)]
+pub(crate) fn blocks(n: usize) -> impl Iterator<Item = Range<usize>> {
+    (0..n).step_by(BLOCK).map(move |begin| begin..n.min(begin + BLOCK))
+}
 
 /// Lanes of a sum: as many partial sums as fill two of the widest vectors.
 const LANES: usize = 16;

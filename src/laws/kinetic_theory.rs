@@ -330,61 +330,80 @@ impl<R: Real> KineticTheory<R> {
     }
 }
 
-/// Root mean square √T of one component of the particles' fluctuations, \[m/s\], after `dt` from the
-/// local balance of granular energy, all sinks implicit:
-///
-/// 3/2 (T - `before`)/dt = `heating` - a T^(3/2) - b T + c T^(-1/2)
-///
-/// with a `collisional`, b `damping`, c `slip`.
-#[inline(always)]
-pub fn balance_speed<R: Real>(
-    before: R,
-    heating: R,
-    collisional: R,
-    damping: R,
-    slip: R,
-    dt: R,
-) -> R {
-    let rate = R::of(1.5) / dt;
-    let linear = (rate * before + heating).max(R::ZERO);
-    speed_of_balance(collisional, rate + damping, linear, slip)
+/// The local balance of granular energy of a cell in terms of the root mean square s = √T of one component of
+/// the particles' fluctuations \[m/s\]: a s⁴ + b s³ = l s + c, with b above zero, the others not below. The
+/// coefficients of the difference change sign once, so there is one root.
+#[derive(Clone, Copy, Debug)]
+pub struct EnergyBalance<R> {
+    /// a, of [`KineticTheory::collisional_dissipation`] \[1/m\].
+    pub collisional: R,
+    /// b \[1/s\].
+    pub cubic: R,
+    /// l \[m²/s³\].
+    pub linear: R,
+    /// c, of [`KineticTheory::slip_production`] \[m³/s⁴\].
+    pub slip: R,
 }
 
-/// √T \[m/s\] at which the sources of a cell balance: `heating` + c T^(-1/2) = a T^(3/2) + b T with a
-/// `collisional`, b `damping` (above zero), c `slip`. Without sources next to nothing, yet above
-/// zero.
-#[inline(always)]
-pub fn balanced_speed<R: Real>(heating: R, collisional: R, damping: R, slip: R) -> R {
-    speed_of_balance(collisional, damping, heating, slip)
-}
-
-/// The positive root s of a s⁴ + b s³ = l s + c, with b above zero, the others not below; at least
-/// 1e-9. The coefficients of the difference change sign once, so there is one.
-///
-/// Halley's method from above, which falls to it; to 1e-9 after three steps for any coefficients.
-#[inline(always)]
-fn speed_of_balance<R: Real>(collisional: R, cubic: R, linear: R, slip: R) -> R {
-    // Bounds from above. Without collisions s³ = x² s + y³, whose root is at most 1.055 (x³ + y³)^(1/3);
-    // and a s⁴ is less than what feeds it at any bound, of which the third is near. The floors keep
-    // products of single precision normal.
-    let floor = R::of(1e-24);
-    let inverse = R::ONE / cubic;
-    let x2 = linear * inverse;
-    let x3 = x2 * x2.max(floor).rough_roots()[0];
-    let mut s = R::of(1.055) * (x3 + slip * inverse).max(floor).rough_roots()[1];
-    let inverse = R::ONE / (collisional + R::of(1e-15));
-    for _ in 0..3 {
-        s = s.min(((linear * s + slip) * inverse).max(R::of(1e-32)).rough_roots()[2]);
+impl<R: Real> EnergyBalance<R> {
+    /// After `dt` from temperature `before`, all sinks implicit:
+    ///
+    /// 3/2 (T - `before`)/dt = `heating` - a T^(3/2) - b T + c T^(-1/2)
+    ///
+    /// with a `collisional`, b `damping`, c `slip`.
+    #[inline(always)]
+    pub fn after(before: R, heating: R, collisional: R, damping: R, slip: R, dt: R) -> Self {
+        let rate = R::of(1.5) / dt;
+        let linear = (rate * before + heating).max(R::ZERO);
+        Self { collisional, cubic: rate + damping, linear, slip }
     }
-    for _ in 0..3 {
+
+    /// Where sources and sinks balance at once: `heating` + c T^(-1/2) = a T^(3/2) + b T with a
+    /// `collisional`, b `damping` (above zero), c `slip`. Without sources next to nothing, yet above zero.
+    #[inline(always)]
+    pub fn at_once(heating: R, collisional: R, damping: R, slip: R) -> Self {
+        Self { collisional, cubic: damping, linear: heating, slip }
+    }
+
+    /// A bound of √T from above, near it; at least 1e-9.
+    #[inline(always)]
+    pub fn bound(&self) -> R {
+        let Self { collisional, cubic, linear, slip } = *self;
+        // Without collisions s³ = x² s + y³, whose root is at most 1.055 (x³ + y³)^(1/3); and a s⁴ is less
+        // than what feeds it at any bound, of which the third is near. The floors keep products of single
+        // precision normal.
+        let floor = R::of(1e-24);
+        let inverse = R::ONE / cubic;
+        let x2 = linear * inverse;
+        let x3 = x2 * x2.max(floor).rough_roots()[0];
+        let mut s = R::of(1.055) * (x3 + slip * inverse).max(floor).rough_roots()[1];
+        let inverse = R::ONE / (collisional + R::of(1e-15));
+        for _ in 0..3 {
+            s = s.min(((linear * s + slip) * inverse).max(R::of(1e-32)).rough_roots()[2]);
+        }
+        s
+    }
+
+    /// A step of Halley's method: bounds from above fall to √T, to 1e-9 of it after
+    /// [`STEPS`](Self::STEPS) from [`bound`](Self::bound) for any coefficients.
+    #[inline(always)]
+    pub fn nearer(&self, s: R) -> R {
+        let Self { collisional, cubic, linear, slip } = *self;
         let s2 = s * s;
         let value = (collisional * s + cubic) * s2 * s - linear * s - slip;
         let slope = (R::of(4.0) * collisional * s + R::of(3.0) * cubic) * s2 - linear;
         // Half the second derivative.
         let bend = (R::of(6.0) * collisional * s + R::of(3.0) * cubic) * s;
-        s -= value * slope / (slope * slope - value * bend);
+        s - value * slope / (slope * slope - value * bend)
     }
-    s
+
+    /// Steps that are enough.
+    pub const STEPS: usize = 3;
+
+    /// √T \[m/s\].
+    pub fn speed(&self) -> R {
+        (0..Self::STEPS).fold(self.bound(), |s, _| self.nearer(s))
+    }
 }
 
 #[cfg(test)]
@@ -548,18 +567,20 @@ mod tests {
             (1e3, 0.0, 1.0, 0.0),
             (0.0, 0.0, 100.0, 1e-7),
         ] {
-            let t = balanced_speed::<f64>(heating, collisional, damping, slip).powi(2);
+            let balance = EnergyBalance::<f64>::at_once(heating, collisional, damping, slip);
+            let t = balance.speed().powi(2);
             let made = heating + slip / t.sqrt();
             let lost = collisional * t.powf(1.5) + damping * t;
             assert!((made / lost - 1.0).abs() < 1e-6, "{t}: {made} {lost}");
-            let single =
-                balanced_speed(heating as f32, collisional as f32, damping as f32, slip as f32)
-                    .powi(2);
+            let [heating, collisional, damping, slip] =
+                [heating, collisional, damping, slip].map(|x| x as f32);
+            let balance = EnergyBalance::at_once(heating, collisional, damping, slip);
+            let single = balance.speed().powi(2);
             assert!((f64::from(single) / t - 1.0).abs() < 1e-4, "{single} {t}");
         }
-        let nothing: f64 = balanced_speed(0.0, 1e4, 100.0, 0.0);
+        let nothing: f64 = EnergyBalance::at_once(0.0, 1e4, 100.0, 0.0).speed();
         assert!(nothing > 0.0 && nothing < 1e-8, "{nothing}");
-        let single: f32 = balanced_speed(0.0, 1e4, 100.0, 0.0);
+        let single: f32 = EnergyBalance::at_once(0.0, 1e4, 100.0, 0.0).speed();
         assert!(single > 0.0 && single < 1e-8, "{single}");
     }
 
@@ -573,7 +594,9 @@ mod tests {
         ] {
             for dt in [1e-7, 1e-4, 1e-2] {
                 let t =
-                    balance_speed::<f64>(before, heating, collisional, damping, slip, dt).powi(2);
+                    EnergyBalance::<f64>::after(before, heating, collisional, damping, slip, dt)
+                        .speed()
+                        .powi(2);
                 let rate = 1.5 * (t - before) / dt;
                 let right = heating - collisional * t.powf(1.5) - damping * t + slip / t.sqrt();
                 let scale = 1.5 * (t + before) / dt + heating + damping * t + slip / t.sqrt();
@@ -594,7 +617,8 @@ mod tests {
                 let over = collisional * s.powi(3) + 1.5 / dt * (s * s - before) > 0.0;
                 if over { high = s } else { low = s }
             }
-            let found: f64 = balance_speed(before, 0.0, collisional, 0.0, 0.0, dt);
+            let balance = EnergyBalance::<f64>::after(before, 0.0, collisional, 0.0, 0.0, dt);
+            let found = balance.speed();
             let error = found / low - 1.0;
             assert!(error.abs() < 1e-9, "{stiffness}: {error:e}");
         }

@@ -3,7 +3,7 @@
 
 use super::{GHOST, Medium};
 use crate::real::Real;
-use crate::rows::{by_axis, cut, simd, sum_axes};
+use crate::rows::{BLOCK, blocks, by_axis, cut, simd, sum_axes};
 
 /// What a face's equations of motion need besides velocities and pressures.
 #[derive(Clone, Copy)]
@@ -228,8 +228,6 @@ simd! {
         packed: [R; 2],
         inverse_spacing: [R; D],
     ) -> [R; 3] {
-        // As many cells as are looked at together: maps vectorise, and maxima of what is mapped do.
-        const BLOCK: usize = 64;
         let n = phi[0][1].len();
         let (solids, gas, phi) = (by_axis(solids, n), by_axis(gas, n), by_axis(phi, n));
         let here = phi[0][1];
@@ -237,11 +235,11 @@ simd! {
         let half = R::of(0.5);
         let mut largest = [R::ZERO; 3];
         let mut rates = [[R::ZERO; BLOCK]; 3];
-        let mut begin = 0;
-        while begin < n {
-            let end = n.min(begin + BLOCK);
+        // Maps vectorise, and maxima of what is mapped do.
+        for at in blocks(n) {
+            let count = at.len();
             let [fast, carrying, filling] = &mut rates;
-            for (lane, i) in (begin..end).enumerate() {
+            for (lane, i) in at.enumerate() {
                 let rate = sum_axes!(D, solids, |[lower, upper], a| {
                     inverse_spacing[a] * lower[i].abs().max(upper[i].abs())
                 });
@@ -263,9 +261,8 @@ simd! {
                 filling[lane] = inflow / (packed - here[i]).max(least);
             }
             for (largest, rates) in largest.iter_mut().zip(&rates) {
-                *largest = largest.max(max_of(&rates[..end - begin]));
+                *largest = largest.max(max_of(&rates[..count]));
             }
-            begin = end;
         }
         largest
     }

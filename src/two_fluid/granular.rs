@@ -3,11 +3,9 @@
 use super::{GHOST, Medium};
 use crate::laws::drag::DragLaw;
 use crate::laws::friction::Friction;
-use crate::laws::kinetic_theory::{
-    KineticTheory, RadialDistribution, balance_speed, balanced_speed,
-};
+use crate::laws::kinetic_theory::{EnergyBalance, KineticTheory, RadialDistribution};
 use crate::real::Real;
-use crate::rows::{by_axis, cut, simd, sum_axes};
+use crate::rows::{BLOCK, blocks, by_axis, cut, simd, sum_axes};
 
 /// A drag law, a row at a time: the choice of law costs one call per row.
 pub(super) trait DragRow<R>: Send + Sync {
@@ -332,21 +330,32 @@ simd! {
         let theory = medium.theory;
         let density = medium.solids_density;
         let [cap, nearly_empty] = bounds;
-        for i in 0..n {
-            let contact = radial.contact_and_inverse(phi[i]);
-            let transport = theory.transport_of_contact(phi[i], contact, theta[i], drag[i]);
-            let mass = density * (phi[i] + R::of(GHOST));
-            let bound = cap * mass;
-            slip[i] = theory.slip_production_of_contact(contact[1], slip[i]);
-            g0[i] = contact[0];
-            viscosity[i] = transport.viscosity.min(bound);
-            bulk[i] = transport.bulk_viscosity.min(R::of(0.25) * bound);
-            let mut most = transport.most_viscous();
-            if CONDUCTS {
-                conductivity[i] = transport.conductivity.min(bound);
-                most = transport.most_diffusive();
+        let mut inverse = [R::ZERO; BLOCK];
+        for at in blocks(n) {
+            let inverse = &mut inverse[..at.len()];
+            let (phi, theta, drag) = (&phi[at.clone()], &theta[at.clone()], &drag[at.clone()]);
+            let (slip, g0) = (&mut slip[at.clone()], &mut g0[at.clone()]);
+            let (viscosity, bulk) = (&mut viscosity[at.clone()], &mut bulk[at.clone()]);
+            let (conductivity, diffusivity) =
+                (&mut conductivity[at.clone()], &mut diffusivity[at]);
+            for ((g0, inverse), phi) in g0.iter_mut().zip(inverse.iter_mut()).zip(phi) {
+                [*g0, *inverse] = radial.contact_and_inverse(*phi);
             }
-            diffusivity[i] = R::select(phi[i] > nearly_empty, most / mass, R::ZERO);
+            for i in 0..phi.len() {
+                let contact = [g0[i], inverse[i]];
+                let transport = theory.transport_of_contact(phi[i], contact, theta[i], drag[i]);
+                let mass = density * (phi[i] + R::of(GHOST));
+                let bound = cap * mass;
+                slip[i] = theory.slip_production_of_contact(inverse[i], slip[i]);
+                viscosity[i] = transport.viscosity.min(bound);
+                bulk[i] = transport.bulk_viscosity.min(R::of(0.25) * bound);
+                let mut most = transport.most_viscous();
+                if CONDUCTS {
+                    conductivity[i] = transport.conductivity.min(bound);
+                    most = transport.most_diffusive();
+                }
+                diffusivity[i] = R::select(phi[i] > nearly_empty, most / mass, R::ZERO);
+            }
         }
     }
 }
@@ -452,37 +461,62 @@ simd! {
         let side = third.sqrt();
         let stiffest = cells.cell_squared / (dt * dt);
         let (density, two_thirds) = (cells.solids_density, R::of(2.0 / 3.0));
-        for i in 0..n {
-            let collisional = theory.collisional_dissipation(phi[i], g0[i]);
-            let damping = theory.viscous_dissipation(drag[i]);
-            // -P_s ∇·u: a sink where the solids expand, implicit; a source where they contract.
-            let work = theory.compressibility(phi[i], g0[i]) * divergence[i];
-            let expansion = work.max(R::ZERO);
-            let speed = if ALGEBRAIC {
-                let most = divergence[i].abs() * side;
-                let compression = (-work).max(R::ZERO).min(damping + collisional * most);
-                // Viscous heating is ν times the rate of strain squared.
-                let shear = theta_new[i].max(R::ZERO);
-                let mass = density * (phi[i] + R::of(GHOST));
-                let most = third * shear * mass / (viscosity[i] + R::of(1e-30));
-                let shear = shear.min((damping + collisional * most.sqrt()) * most);
-                let heating = shear + theta[i] * compression;
-                balanced_speed(heating, collisional, damping + expansion, slip[i])
-            } else {
-                let heating = theta_new[i] + theta[i] * (-work).max(R::ZERO);
-                balance_speed(theta[i], heating, collisional, damping + expansion, slip[i], dt)
-            };
-            let warm = speed * speed;
-            theta_new[i] = warm;
-            let (contacts, stiffness) = friction.pressure(phi[i]);
-            // What has become too stiff for a step of this length pushes as if it were not: more would
-            // fling back what hits a packed bed. The next step is as short as the sound asks for.
-            let contacts = contacts * stiffest / stiffness.max(stiffest);
-            pressure[i] = theory.pressure(phi[i], g0[i], warm) + contacts;
-            let slope = radial.slope(phi[i], g0[i]);
-            // Dissipation is implicit, so of the heat of compression a step keeps only this.
-            let adiabatic = R::ONE / (R::ONE + dt * (collisional * speed + two_thirds * damping));
-            sound[i] = theory.sound_speed_squared(phi[i], g0[i], slope, warm, adiabatic) + stiffness;
+        let [mut cubic, mut linear, mut speed] = [[R::ZERO; BLOCK]; 3];
+        for at in blocks(n) {
+            let m = at.len();
+            let (phi, theta, g0) = (&phi[at.clone()], &theta[at.clone()], &g0[at.clone()]);
+            let (drag, slip) = (&drag[at.clone()], &slip[at.clone()]);
+            let (divergence, viscosity) = (&divergence[at.clone()], &viscosity[at.clone()]);
+            let (theta_new, pressure) = (&mut theta_new[at.clone()], &mut pressure[at.clone()]);
+            let sound = &mut sound[at];
+            let (cubic, linear, speed) = (&mut cubic[..m], &mut linear[..m], &mut speed[..m]);
+            for i in 0..m {
+                let collisional = theory.collisional_dissipation(phi[i], g0[i]);
+                let damping = theory.viscous_dissipation(drag[i]);
+                // -P_s ∇·u: a sink where the solids expand, implicit; a source where they contract.
+                let work = theory.compressibility(phi[i], g0[i]) * divergence[i];
+                let sinks = damping + work.max(R::ZERO);
+                let balance = if ALGEBRAIC {
+                    let most = divergence[i].abs() * side;
+                    let compression = (-work).max(R::ZERO).min(damping + collisional * most);
+                    // Viscous heating is ν times the rate of strain squared.
+                    let shear = theta_new[i].max(R::ZERO);
+                    let mass = density * (phi[i] + R::of(GHOST));
+                    let most = third * shear * mass / (viscosity[i] + R::of(1e-30));
+                    let shear = shear.min((damping + collisional * most.sqrt()) * most);
+                    let heating = shear + theta[i] * compression;
+                    EnergyBalance::at_once(heating, collisional, sinks, slip[i])
+                } else {
+                    let heating = theta_new[i] + theta[i] * (-work).max(R::ZERO);
+                    EnergyBalance::after(theta[i], heating, collisional, sinks, slip[i], dt)
+                };
+                (cubic[i], linear[i]) = (balance.cubic, balance.linear);
+                speed[i] = balance.bound();
+            }
+            for _ in 0..EnergyBalance::<R>::STEPS {
+                for i in 0..m {
+                    let collisional = theory.collisional_dissipation(phi[i], g0[i]);
+                    let (cubic, linear, slip) = (cubic[i], linear[i], slip[i]);
+                    speed[i] = EnergyBalance { collisional, cubic, linear, slip }.nearer(speed[i]);
+                }
+            }
+            for i in 0..m {
+                let warm = speed[i] * speed[i];
+                theta_new[i] = warm;
+                let (contacts, stiffness) = friction.pressure(phi[i]);
+                // What has become too stiff for a step of this length pushes as if it were not: more would
+                // fling back what hits a packed bed. The next step is as short as the sound asks for.
+                let contacts = contacts * stiffest / stiffness.max(stiffest);
+                pressure[i] = theory.pressure(phi[i], g0[i], warm) + contacts;
+                let slope = radial.slope(phi[i], g0[i]);
+                // Dissipation is implicit, so of the heat of compression a step keeps only this.
+                let collisional = theory.collisional_dissipation(phi[i], g0[i]);
+                let damping = theory.viscous_dissipation(drag[i]);
+                let loss = dt * (collisional * speed[i] + two_thirds * damping);
+                let adiabatic = R::ONE / (R::ONE + loss);
+                sound[i] =
+                    theory.sound_speed_squared(phi[i], g0[i], slope, warm, adiabatic) + stiffness;
+            }
         }
     }
 }
