@@ -963,8 +963,23 @@ impl fmt::Display for Case {
 impl Domain {
     /// Edge of a cell along each axis \[m\].
     pub fn spacing(&self) -> Vec<f64> {
-        self.size.iter().zip(&self.cells).map(|(size, cells)| size / *cells as f64).collect()
+        edges(&self.size, &self.cells).collect()
     }
+
+    /// Shortest edge of a cell \[m\].
+    pub fn shortest_spacing(&self) -> f64 {
+        least(edges(&self.size, &self.cells))
+    }
+}
+
+/// Edge of a cell along each axis of a box of so many cells \[m\].
+fn edges(size: &[f64], cells: &[usize]) -> impl Iterator<Item = f64> {
+    size.iter().zip(cells).map(|(size, cells)| size / *cells as f64)
+}
+
+/// The least of some numbers.
+fn least(numbers: impl Iterator<Item = f64>) -> f64 {
+    numbers.fold(f64::INFINITY, f64::min)
 }
 
 /// A choice, or a list of choices, as it is typed in a case file.

@@ -92,8 +92,7 @@ pub fn terms(case: &Case) -> Vec<Term> {
                 }
             },
         };
-        let cells = domain.size.iter().zip(&domain.cells).map(|(size, n)| size / *n as f64);
-        let cell = cells.fold(f64::INFINITY, f64::min);
+        let cell = domain.shortest_spacing();
         let own = particles.mapping.variance(cell, powder.diameter).sqrt();
         let width = particles.smoothing.max(own) / powder.diameter;
         let spread = Term {

@@ -14,7 +14,7 @@ use super::{
     Case, Diameters, Domain, DragChoice, Drive, DriveChoice, EdgesChoice, FieldsChoice, FilterCase,
     FrictionChoice, KernelChoice, MappingChoice, MarkerChoice, MixtureChoice, OutputCase,
     ParticlesCase, ParticlesStart, Physics, Places, Precision, RadialDistributionChoice, RunCase,
-    SPREAD, SolverChoice, Terms, quoted,
+    SPREAD, SolverChoice, Terms, edges, least, quoted,
 };
 use crate::laws::contact::{Contact, cohesion_of, pull, stiffness_for};
 use crate::laws::scales::{Gas, Powder, Scales};
@@ -316,8 +316,7 @@ fn resolve_particles(
         if size.len() != 3 {
             problems.refuse(solver, "particles are spheres: a box of three edges is needed");
         }
-        let shortest =
-            size.iter().zip(cells).map(|(size, n)| size / *n as f64).fold(f64::INFINITY, f64::min);
+        let shortest = least(edges(size, cells));
         if shortest < SHORTEST_CELL * largest {
             problems.refuse(
                 solver,
@@ -388,10 +387,8 @@ fn resolve_particles(
     let mapping = typed.mapping.as_ref().map_or(MappingChoice::Trilinear, |typed| typed.value);
     // Standard deviation of the narrowest shares, and the shortest edge.
     let [bare, shortest] = domain.map_or([0.0, f64::INFINITY], |(size, cells)| {
-        let least = |numbers: &mut dyn Iterator<Item = f64>| numbers.fold(f64::INFINITY, f64::min);
-        let cell = least(&mut size.iter().zip(cells).map(|(size, n)| size / *n as f64));
-        let bare = mapping.variance(cell, powder.diameter).sqrt();
-        [bare, least(&mut size.iter().copied())]
+        let bare = mapping.variance(least(edges(size, cells)), powder.diameter).sqrt();
+        [bare, least(size.iter().copied())]
     });
     let smoothing = match &typed.smoothing {
         None => {
@@ -875,7 +872,7 @@ struct PossibleWidths {
 
 impl PossibleWidths {
     fn new(size: &[f64], cells: &[usize]) -> Self {
-        let spacing: Vec<f64> = size.iter().zip(cells).map(|(size, n)| size / *n as f64).collect();
+        let spacing: Vec<f64> = edges(size, cells).collect();
         // Candidates are multiples of the cell along the axis with the fewest cells: any axis
         // would do, and this one keeps the list short in long boxes.
         let axis = (0..cells.len()).min_by_key(|axis| cells[*axis]).unwrap_or(0);
