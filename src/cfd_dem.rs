@@ -17,7 +17,8 @@
 //! Staggered grid: φ and p at cell centres, u on faces. A step of [`CfdDem::step`], of length Δt:
 //!
 //! 1. particles: as many steps of contacts as Δt has, under the impulses that they are owed;
-//! 2. φ where they are now; λ of each; K and K v shared among the cells;
+//! 2. φ where they are now; λ of each; K and K v shared among the faces, each component of v among those
+//!    of its axis, so that drag is spread as far along that axis as along the others;
 //! 3. transport of the gas's momentum by the flux ε u of the step before, with the fractions that
 //!    went with that flux, so that a uniform velocity stays uniform;
 //! 4. gas: weight and old pressure, drag implicit on each face;
@@ -219,14 +220,14 @@ pub struct CfdDem {
     viscous: Option<Box<Viscous>>,
     /// φ per cell.
     filled: Vec<[f64; 1]>,
-    /// K/V and K v/V per cell, as shared out and as fields.
-    exchange: Vec<[f64; 4]>,
-    drag: Field<f64, 3>,
+    /// K/V and K v/V of the faces of each axis, as shared out and as fields.
+    exchange: Vec<[f64; 6]>,
+    drag: Faces<f64, 3>,
     given: Faces<f64, 3>,
-    /// Gas velocity and φ at centres, as particles see them.
+    /// Gas velocity on faces and φ at centres, as particles see them.
     seen: Vec<[f64; 4]>,
-    /// Gas velocity and pressure gradient at centres, likewise.
-    pulls: Vec<[f64; 8]>,
+    /// Gas velocity on faces and pressure gradient at centres, likewise.
+    pulls: Vec<[f64; 6]>,
     /// λ of each particle \[1/s\], by place in memory.
     rates: Vec<f64>,
 }
@@ -327,11 +328,11 @@ impl CfdDem {
             poisson: Poisson::new(&grid, setup.parallel),
             viscous: setup.gas_stress.then(|| Box::new(Viscous::new(&grid, gas.viscosity))),
             filled: vec![[0.0]; grid.len()],
-            exchange: vec![[0.0; 4]; grid.len()],
-            drag: zeros(),
+            exchange: vec![[0.0; 6]; grid.len()],
+            drag: Field::zero_faces(layout),
             given: Field::zero_faces(layout),
             seen: vec![[0.0; 4]; grid.len()],
-            pulls: vec![[0.0; 8]; grid.len()],
+            pulls: vec![[0.0; 6]; grid.len()],
             rates: vec![0.0; spheres.len()],
             touches: Vec::new(),
             dem,
@@ -473,7 +474,7 @@ impl CfdDem {
         Ok(())
     }
 
-    /// Finds λ of each particle by the gas as it was, and shares K and K v among the cells; returns the
+    /// Finds λ of each particle by the gas as it was, and shares K and K v among the faces; returns the
     /// largest speed of a particle along an axis in cells per second, and the largest λ.
     fn share(&mut self) -> [f64; 2] {
         self.see_gas();
@@ -481,43 +482,42 @@ impl CfdDem {
         let cell = self.grid.cell_volume();
         let inverse = self.grid.spacing.map(|h| 1.0 / h);
         let mass = density * self.volume;
-        self.exchange.fill([0.0; 4]);
+        self.exchange.fill([0.0; 6]);
         let mut fastest = [0.0f64; 2];
         let radius = self.radius;
         let particles = self.dem.positions().iter().zip(self.dem.velocities());
         for ((position, velocity), rate) in particles.zip(&mut self.rates) {
-            let shares = self.mapping.shares(*position);
-            let [ux, uy, uz, phi] = shares.see(&self.seen);
+            let faces = self.mapping.face_shares(*position);
+            let [ux, uy, uz] = faces.see(&self.seen);
+            let [.., phi] = self.mapping.shares(*position).see(&self.seen);
             let v = velocity.vector();
             let slip = [ux - v[0], uy - v[1], uz - v[2]];
             let speed = slip.iter().map(|s| s * s).sum::<f64>().sqrt();
             let ratio = position.0[3] / radius;
             *rate = self.drag_on.of_sphere(phi, speed, ratio) / density;
             let k = mass * ratio.powi(3) * *rate / cell;
-            shares.give(&mut self.exchange, [k, k * v[0], k * v[1], k * v[2]]);
+            faces.give(&mut self.exchange, [k; 3], v.map(|v| k * v));
             let way = (0..3).map(|axis| v[axis].abs() * inverse[axis]).fold(0.0, f64::max);
             fastest = [fastest[0].max(way), fastest[1].max(*rate)];
         }
         self.mapping.smooth(&mut self.exchange);
         let (exchange, index) = (&self.exchange, index(self.grid.cells));
-        self.drag.set(|cell| exchange[index(cell)][0]);
-        for (axis, given) in self.given.iter_mut().enumerate() {
-            given.set(|cell| exchange[index(cell)][1 + axis]);
+        for axis in 0..3 {
+            self.drag[axis].set(|cell| exchange[index(cell)][axis]);
+            self.given[axis].set(|cell| exchange[index(cell)][3 + axis]);
         }
         fastest
     }
 
-    /// Gas velocity and φ at centres, as particles see them.
+    /// Gas velocity on faces and φ at centres, as particles see them.
     fn see_gas(&mut self) {
         let (layout, nx) = (self.rows.layout(), self.grid.cells[0]);
         for number in 0..layout.rows() {
             let row = layout.row(number);
             let seen = &mut self.seen[number * nx..][..nx];
             for axis in 0..3 {
-                let (lower, upper) =
-                    (self.gas[axis].row(row), self.gas[axis].row(row.near(axis, 1)));
-                for (seen, (lower, upper)) in seen.iter_mut().zip(lower.iter().zip(upper)) {
-                    seen[axis] = 0.5 * (lower + upper);
+                for (seen, u) in seen.iter_mut().zip(self.gas[axis].row(row)) {
+                    seen[axis] = *u;
                 }
             }
             for (seen, phi) in seen.iter_mut().zip(self.phi[0].row(row)) {
@@ -527,7 +527,7 @@ impl CfdDem {
         self.mapping.smooth(&mut self.seen);
     }
 
-    /// Gas velocity and pressure gradient at centres, as particles see them.
+    /// Gas velocity on faces and pressure gradient at centres, as particles see them.
     fn see_pulls(&mut self) {
         let (layout, nx) = (self.rows.layout(), self.grid.cells[0]);
         let inverse = self.grid.spacing.map(|h| 1.0 / h);
@@ -535,13 +535,11 @@ impl CfdDem {
             let row = layout.row(number);
             let pulls = &mut self.pulls[number * nx..][..nx];
             for axis in 0..3 {
-                let (lower, upper) =
-                    (self.gas[axis].row(row), self.gas[axis].row(row.near(axis, 1)));
-                let pressure = &self.pressure;
+                let (u, pressure) = (self.gas[axis].row(row), &self.pressure);
                 let (below, above) =
                     (pressure.row(row.near(axis, -1)), pressure.row(row.near(axis, 1)));
                 for (i, pull) in pulls.iter_mut().enumerate() {
-                    pull[axis] = 0.5 * (lower[i] + upper[i]);
+                    pull[axis] = u[i];
                     pull[3 + axis] = 0.5 * inverse[axis] * (above[i] - below[i]);
                 }
             }
@@ -556,12 +554,15 @@ impl CfdDem {
         let weight = self.driven()[0] / density;
         let Self { dem, mapping, pulls, rates, .. } = self;
         for place in 0..dem.len() {
-            let seen = mapping.shares(dem.positions()[place]).see(pulls);
+            let position = dem.positions()[place];
+            let u = mapping.face_shares(position).see(pulls);
+            let [.., x, y, z] = mapping.shares(position).see(pulls);
+            let slope = [x, y, z];
             let v = dem.velocities()[place].vector();
             let rate = rates[place];
             let change: [f64; 3] = std::array::from_fn(|axis| {
                 let up = if axis == 2 { weight } else { 0.0 };
-                dt * (rate * (seen[axis] - v[axis]) - seen[3 + axis] / density + up)
+                dt * (rate * (u[axis] - v[axis]) - slope[axis] / density + up)
             });
             dem.drives_mut()[place] = Quad([change[0], change[1], change[2], 0.0]);
         }
@@ -637,7 +638,7 @@ impl CfdDem {
             for axis in 0..3 {
                 solids[axis] += volume * (velocity.0[axis] + owed.0[axis]);
             }
-            seen += volume * self.mapping.shares(*position).see(&self.pulls)[2];
+            seen += volume * self.mapping.face_shares(*position).see(&self.pulls)[2];
         }
         let falling = falling / whole;
         Means {

@@ -185,13 +185,21 @@ mod tests {
             let text = text.replace("mapping =", &format!("{smoothing}\nmapping ="));
             line(&terms(&Case::parse(&text, "test").unwrap()), "smoothing")
         };
-        let own = "cells of 3.33 d alone spread a particle by 1.36 d";
-        assert_eq!(of("cells = [8, 8, 32]", ""), format!("smoothing off: {own}"));
-        let own = "cells of 1.67 d alone spread a particle by 0.68 d";
+        for (cells, own) in [
+            ("cells = [8, 8, 32]", "cells of 3.33 d alone spread a particle by 1.36 d"),
+            ("cells = [16, 16, 64]", "cells of 1.67 d alone spread a particle by 0.68 d"),
+        ] {
+            assert_eq!(
+                of(cells, ""),
+                format!("smoothing on: {own}, and on any cells it is 2.70 d")
+            );
+        }
+        let wide = text.replace("6.64 L_II", "13.4 L_II").replace("26.56 L_II", "53.6 L_II");
         assert_eq!(
-            of("cells = [16, 16, 64]", ""),
-            format!("smoothing on: {own}, and on any cells it is 1.36 d")
+            line(&terms(&Case::parse(&wide, "test").unwrap()), "smoothing"),
+            "smoothing off: cells of 6.73 d alone spread a particle by 2.75 d"
         );
+        let own = "cells of 1.67 d alone spread a particle by 0.68 d";
         // 0.05 · 1.67³ · 6/π.
         assert_eq!(
             of("cells = [16, 16, 64]", "smoothing = 0"),

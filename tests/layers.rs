@@ -71,7 +71,7 @@ const ALLOWED: &[(&str, &str)] = &[
         "blocking case extrapolation filter filtered fine grid laws real rows series simulate statistics two_fluid",
     ),
     ("hard", "case grid laws real two_fluid"),
-    ("verify", "case cfd_dem dem field grid laws poisson real stability two_fluid"),
+    ("verify", "case cfd_dem dem drive field grid laws poisson real stability two_fluid"),
 ];
 
 /// Outside dependencies that only some modules may name.

@@ -1,6 +1,6 @@
 //! What the filter sees of particles in a gas: fields at cell centres.
 
-use super::CfdDem;
+use super::{CfdDem, index};
 use crate::fine::{Counts, FineFields, symmetric_index};
 
 /// Pairs of axes in the order of [`symmetric_index`].
@@ -26,9 +26,14 @@ impl CfdDem {
         let share = self.volume * inverse_volume;
         let mut mapping = self.mapping.clone();
 
+        let [nx, ny, nz] = self.grid.cells;
+        let at = index(self.grid.cells);
         for (cell, pull) in self.pulls.iter().enumerate() {
+            let [i, j, k] = [cell % nx, cell / nx % ny, cell / (nx * ny)];
+            let above = [[(i + 1) % nx, j, k], [i, (j + 1) % ny, k], [i, j, (k + 1) % nz]];
             for axis in 0..3 {
-                fine.gas_velocity[axis][cell] = pull[axis];
+                let upper = self.pulls[at(above[axis])][axis];
+                fine.gas_velocity[axis][cell] = 0.5 * (pull[axis] + upper);
                 fine.pressure_gradient[axis][cell] = pull[3 + axis];
             }
         }
@@ -44,7 +49,7 @@ impl CfdDem {
         let particles = self.dem.positions().iter().zip(self.dem.velocities());
         for (position, velocity) in particles {
             let shares = mapping.shares(*position);
-            let [ux, uy, uz, ..] = shares.see(&self.pulls);
+            let [ux, uy, uz] = mapping.face_shares(*position).see(&self.pulls);
             let [phi] = shares.see(&seen);
             let [x, y, z] = velocity.vector();
             let speed = ((ux - x).powi(2) + (uy - y).powi(2) + (uz - z).powi(2)).sqrt();

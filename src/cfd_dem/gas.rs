@@ -134,14 +134,14 @@ impl CfdDem {
         for axis in 0..3 {
             let push = if axis == 2 { weight } else { 0.0 };
             let Self { phi: [now, before, _], drag, given, carried, pressure, .. } = self;
-            let given = &given[axis];
+            let (drag, given) = (&drag[axis], &given[axis]);
             let outputs = [&mut self.gas[axis], &mut self.flux[axis], &mut self.mobility[axis]];
             rows.each(outputs, |row, [u, flux, mobility]| {
                 let below = row.near(axis, -1);
                 let near =
                     |field: &Field<f64, 3>, i: usize| mean(field.row(below), field.row(row), i);
                 for i in 0..u.len() {
-                    let (drag, given) = (near(drag, i), near(given, i));
+                    let (drag, given) = (drag.row(row)[i], given.row(row)[i]);
                     let open = 1.0 - near(now, i);
                     let inertia = density * (1.0 - near(before, i)) / dt;
                     let slope = inverse[axis] * (pressure.row(row)[i] - pressure.row(below)[i]);

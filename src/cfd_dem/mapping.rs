@@ -1,5 +1,6 @@
 //! How particles and cells see each other: a particle's volume is shared among the cells around it, and
-//! the particle sees the mean of those cells with the same shares.
+//! the particle sees the mean of those cells with the same shares. What belongs to the faces of one axis, such
+//! as a component of the gas velocity, is shared among those faces and seen from them in the same way.
 //!
 //! Seen and shared alike, what all particles take is what all cells give, to round-off:
 //! Σ_p K_p Σ_c w_pc u_c = Σ_c u_c Σ_p w_pc K_p. Shares add up to one, so that volume, mass and
@@ -55,6 +56,38 @@ impl Shares {
     }
 }
 
+/// The faces of each axis that share a particle, and their shares.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct FaceShares([Shares; 3]);
+
+impl FaceShares {
+    /// Adds a particle's numbers to its faces: `first` for those of each axis, then `second`.
+    #[inline(always)]
+    pub fn give(&self, to: &mut [[f64; 6]], first: [f64; 3], second: [f64; 3]) {
+        for (axis, shares) in self.0.iter().enumerate() {
+            for (&cell, &weight) in shares.cells.iter().zip(&shares.weights) {
+                let to = &mut to[cell as usize];
+                to[axis] += weight * first[axis];
+                to[3 + axis] += weight * second[axis];
+            }
+        }
+    }
+
+    /// The mean of the faces' numbers that the particle sees; those of the faces of each axis come first in
+    /// what a cell has.
+    #[inline(always)]
+    pub fn see<const N: usize>(&self, from: &[[f64; N]]) -> [f64; 3] {
+        std::array::from_fn(|axis| {
+            let shares = &self.0[axis];
+            let near = shares.cells.iter().zip(&shares.weights);
+            near.map(|(&cell, &weight)| weight * from[cell as usize][axis]).sum()
+        })
+    }
+}
+
+/// The two cells along an axis that share a particle, and their shares.
+type Pair = ([u32; 2], [f64; 2]);
+
 /// A place along an axis in units of cells: the lower of the two cells that share it, and its share.
 ///
 /// Trilinear: a hat as wide as two cells. Divided: what lies in either cell of an edge `edge` of
@@ -88,34 +121,55 @@ impl Mapping {
         }
     }
 
-    /// The cells that share a particle: its centre and radius.
+    /// The cells along each axis that share a particle, and the faces of that axis.
     #[inline(always)]
-    pub fn shares(&self, Quad([x, y, z, radius]): Quad) -> Shares {
+    fn pairs(&self, Quad([x, y, z, radius]): Quad) -> [[Pair; 2]; 3] {
         // Edge of the cube of the sphere's volume.
         let edge = 2.0 * radius * (PI / 6.0).cbrt();
-        let mut places = [[0u32; 2]; 3];
-        let mut parts = [[0.0; 2]; 3];
-        for (axis, x) in [x, y, z].into_iter().enumerate() {
+        let place = [x, y, z];
+        std::array::from_fn(|axis| {
             let inverse = self.inverse_spacing[axis];
-            let (lower, share) = along(self.choice, x * inverse, edge * inverse);
             let cells = self.cells[axis] as i64;
-            let lower = (lower as i64).rem_euclid(cells);
-            let upper = if lower + 1 == cells { 0 } else { lower + 1 };
-            places[axis] = [lower as u32, upper as u32];
-            parts[axis] = [share, 1.0 - share];
-        }
+            // A face is where the cell above it begins, half a cell below its centre.
+            [0.0, 0.5].map(|shift| {
+                let (lower, share) =
+                    along(self.choice, place[axis] * inverse + shift, edge * inverse);
+                let lower = (lower as i64).rem_euclid(cells);
+                let upper = if lower + 1 == cells { 0 } else { lower + 1 };
+                ([lower as u32, upper as u32], [share, 1.0 - share])
+            })
+        })
+    }
+
+    /// The cells that share what the pairs along each axis share.
+    #[inline(always)]
+    fn product(&self, [x, y, z]: [Pair; 3]) -> Shares {
         let [width, depth] = [self.cells[0] as u32, self.cells[1] as u32];
         let corner = |n: usize| [n & 1, (n >> 1) & 1, n >> 2];
         Shares {
             cells: std::array::from_fn(|n| {
                 let [i, j, k] = corner(n);
-                (places[2][k] * depth + places[1][j]) * width + places[0][i]
+                (z.0[k] * depth + y.0[j]) * width + x.0[i]
             }),
             weights: std::array::from_fn(|n| {
                 let [i, j, k] = corner(n);
-                parts[0][i] * parts[1][j] * parts[2][k]
+                x.1[i] * y.1[j] * z.1[k]
             }),
         }
+    }
+
+    /// The cells that share a particle: its centre and radius.
+    #[inline(always)]
+    pub fn shares(&self, particle: Quad) -> Shares {
+        self.product(self.pairs(particle).map(|[centre, _]| centre))
+    }
+
+    /// The faces that share it.
+    #[inline(always)]
+    pub fn face_shares(&self, particle: Quad) -> FaceShares {
+        let pairs = self.pairs(particle);
+        let of = |axis: usize| std::array::from_fn(|a| pairs[a][usize::from(a == axis)]);
+        FaceShares([0, 1, 2].map(|axis| self.product(of(axis))))
     }
 
     /// Spreads what cells hold by a Gaussian to the width asked for, keeping its sum: explicit steps of
@@ -185,8 +239,13 @@ mod tests {
                         .map(|c| [c % 8, c / 8 % 10, c / 80].map(|i| 0.1 * (i as f64 + 0.5)))
                         .collect();
                     let seen = shares.see(&centres);
+                    let faces: Vec<[f64; 3]> =
+                        centres.iter().map(|centre| centre.map(|x| x - 0.05)).collect();
+                    let of_faces =
+                        mapping(choice, 0.0).face_shares(Quad([x, y, z, 0.05])).see(&faces);
                     for axis in 0..3 {
                         prop_assert!((seen[axis] - place[axis]).abs() < 1e-14);
+                        prop_assert!((of_faces[axis] - place[axis]).abs() < 1e-14);
                     }
                 }
             }
@@ -204,8 +263,14 @@ mod tests {
         assert!(shares.cells.contains(&0) && shares.cells.contains(&959));
     }
 
-    /// Mean over many places of the variance about the particle of what it is spread to, along each axis.
-    fn variance(mapping: &mut Mapping, spacing: [f64; 3], radius: f64) -> [f64; 3] {
+    /// Mean over many places of the variance about the particle of what it is spread to, along each axis: among
+    /// cells, or among faces of the axis `faces`.
+    fn variance(
+        mapping: &mut Mapping,
+        spacing: [f64; 3],
+        radius: f64,
+        faces: Option<usize>,
+    ) -> [f64; 3] {
         let [nx, ny, _] = mapping.cells;
         let mut mean = [0.0; 3];
         let places = 200;
@@ -217,14 +282,23 @@ mod tests {
             });
             let mut values = vec![[0.0]; mapping.cells.iter().product()];
             let [x, y, z] = place;
-            mapping.shares(Quad([x, y, z, radius])).give(&mut values, [1.0]);
+            let particle = Quad([x, y, z, radius]);
+            if let Some(axis) = faces {
+                let mut all = vec![[0.0; 6]; values.len()];
+                mapping.face_shares(particle).give(&mut all, [1.0; 3], [2.0; 3]);
+                assert!(all.iter().all(|all| all[3 + axis] == 2.0 * all[axis]));
+                values.iter_mut().zip(&all).for_each(|(value, all)| *value = [all[axis]]);
+            } else {
+                mapping.shares(particle).give(&mut values, [1.0]);
+            }
             mapping.smooth(&mut values);
             let sum: f64 = values.iter().map(|[v]| v).sum();
             assert!((sum - 1.0).abs() < 1e-13);
             for (c, [v]) in values.iter().enumerate() {
                 let cell = [c % nx, c / nx % ny, c / (nx * ny)];
                 for axis in 0..3 {
-                    let from = (cell[axis] as f64 + 0.5) * spacing[axis] - place[axis];
+                    let half = if faces == Some(axis) { 0.0 } else { 0.5 };
+                    let from = (cell[axis] as f64 + half) * spacing[axis] - place[axis];
                     mean[axis] += v * from * from / f64::from(places);
                 }
             }
@@ -239,13 +313,15 @@ mod tests {
                 let size = std::array::from_fn(|axis| cells[axis] as f64 * spacing[axis]);
                 let grid = Grid::new(size, cells);
                 let mut wide = Mapping::new(&grid, choice, 0.06, 0.15);
-                for found in variance(&mut wide, spacing, 0.03) {
-                    assert!((found / 0.0225 - 1.0).abs() < 0.003, "{choice:?} {found}");
+                for faces in [None, Some(0), Some(2)] {
+                    for found in variance(&mut wide, spacing, 0.03, faces) {
+                        assert!((found / 0.0225 - 1.0).abs() < 0.003, "{choice:?} {found}");
+                    }
                 }
                 // Nothing makes it narrower than cells alone do.
                 let mut bare = Mapping::new(&grid, choice, 0.06, 0.01);
                 assert_eq!(bare.smoothing.steps, 0);
-                let found = variance(&mut bare, spacing, 0.03);
+                let found = variance(&mut bare, spacing, 0.03, None);
                 for axis in 0..3 {
                     let expected = choice.variance(spacing[axis], 0.06);
                     assert!((found[axis] / expected - 1.0).abs() < 0.03, "{choice:?} {found:?}");
