@@ -182,6 +182,10 @@ impl Scratch {
 pub(super) fn wrapped(point: [f64; 3], size: [f64; 3]) -> [f64; 3] {
     let mut wrapped = point;
     for axis in 0..3 {
+        // As most are; the rounding down of others is a call in portable code.
+        if (0.0..size[axis]).contains(&point[axis]) {
+            continue;
+        }
         let inside = point[axis] - size[axis] * (point[axis] / size[axis]).floor();
         // A tiny negative number rounds to the upper end.
         wrapped[axis] = if inside < size[axis] { inside } else { 0.0 };
@@ -309,19 +313,25 @@ fn turn(cell: isize, n: usize) -> (usize, isize) {
     (cell.rem_euclid(n) as usize, cell.div_euclid(n))
 }
 
-/// The items in a new order: first that at `order[0]`.
+/// The items in a new order: first that at `order[0]`. Leaves anything in `scratch`, which has as many at least.
 fn permute<T: Copy + Send + Sync>(
     parallel: bool,
     order: &[u32],
     items: &mut [T],
-    scratch: &mut Vec<T>,
+    scratch: &mut [T],
 ) {
-    if items.is_empty() {
-        return;
-    }
-    scratch.clear();
-    scratch.extend_from_slice(items);
-    let from = &scratch[..];
+    let scratch = &mut scratch[..items.len()];
+    let from = &*items;
+    each_chunk(
+        parallel,
+        scratch,
+        CHUNK,
+        || (),
+        |(), chunk, items| {
+            items.copy_from_slice(&from[chunk * CHUNK..][..items.len()]);
+        },
+    );
+    let from = &*scratch;
     each_chunk(
         parallel,
         items,
@@ -365,8 +375,8 @@ impl Dem {
         // The first slab's images above the last.
         let images = cells.starts[layer] as usize;
         for quads in [forces, torques] {
-            quads.clear();
             quads.resize(positions.len() + images, Quad::default());
+            each_chunk(parallel, quads, CHUNK, || (), |(), _, quads| quads.fill(Quad::default()));
         }
         touched.resize(positions.len() + images, false);
         self.number_pairs();
@@ -430,17 +440,35 @@ impl Dem {
         let Self { cells, scratch, particles, ids, .. } = self;
         let Particles { positions, velocities, spins, drives, forces, .. } = particles;
         let size = self.setup.size;
-        for position in positions.iter_mut() {
-            let [x, y, z] = wrapped(position.vector(), size);
-            *position = Quad([x, y, z, position.0[3]]);
-        }
+        each_chunk(
+            parallel,
+            positions,
+            CHUNK,
+            || (),
+            |(), _, positions| {
+                for position in positions {
+                    let [x, y, z] = wrapped(position.vector(), size);
+                    *position = Quad([x, y, z, position.0[3]]);
+                }
+            },
+        );
+        scratch.cell.resize(len, 0);
+        let (at, of) = (&positions[..], &*cells);
+        each_chunk(
+            parallel,
+            &mut scratch.cell,
+            CHUNK,
+            || (),
+            |(), chunk, numbers| {
+                for (number, position) in numbers.iter_mut().zip(&at[chunk * CHUNK..]) {
+                    *number = of.of(position);
+                }
+            },
+        );
         // A counting sort, which keeps the order of particles within a cell.
         cells.starts.fill(0);
-        scratch.cell.clear();
-        for position in positions.iter() {
-            let cell = cells.of(position);
+        for &cell in &scratch.cell {
             cells.starts[cell as usize + 1] += 1;
-            scratch.cell.push(cell);
         }
         let mut sum = 0;
         for start in &mut cells.starts {

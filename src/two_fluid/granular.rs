@@ -461,7 +461,7 @@ simd! {
         let side = third.sqrt();
         let stiffest = cells.cell_squared / (dt * dt);
         let (density, two_thirds) = (cells.solids_density, R::of(2.0 / 3.0));
-        let [mut cubic, mut linear, mut speed] = [[R::ZERO; BLOCK]; 3];
+        let [mut collisional, mut cubic, mut linear, mut speed] = [[R::ZERO; BLOCK]; 4];
         for at in blocks(n) {
             let m = at.len();
             let (phi, theta, g0) = (&phi[at.clone()], &theta[at.clone()], &g0[at.clone()]);
@@ -469,35 +469,40 @@ simd! {
             let (divergence, viscosity) = (&divergence[at.clone()], &viscosity[at.clone()]);
             let (theta_new, pressure) = (&mut theta_new[at.clone()], &mut pressure[at.clone()]);
             let sound = &mut sound[at];
+            let collisional = &mut collisional[..m];
             let (cubic, linear, speed) = (&mut cubic[..m], &mut linear[..m], &mut speed[..m]);
             for i in 0..m {
-                let collisional = theory.collisional_dissipation(phi[i], g0[i]);
+                collisional[i] = theory.collisional_dissipation(phi[i], g0[i]);
                 let damping = theory.viscous_dissipation(drag[i]);
                 // -P_s ∇·u: a sink where the solids expand, implicit; a source where they contract.
                 let work = theory.compressibility(phi[i], g0[i]) * divergence[i];
                 let sinks = damping + work.max(R::ZERO);
                 let balance = if ALGEBRAIC {
                     let most = divergence[i].abs() * side;
-                    let compression = (-work).max(R::ZERO).min(damping + collisional * most);
+                    let compression = (-work).max(R::ZERO).min(damping + collisional[i] * most);
                     // Viscous heating is ν times the rate of strain squared.
                     let shear = theta_new[i].max(R::ZERO);
                     let mass = density * (phi[i] + R::of(GHOST));
                     let most = third * shear * mass / (viscosity[i] + R::of(1e-30));
-                    let shear = shear.min((damping + collisional * most.sqrt()) * most);
+                    let shear = shear.min((damping + collisional[i] * most.sqrt()) * most);
                     let heating = shear + theta[i] * compression;
-                    EnergyBalance::at_once(heating, collisional, sinks, slip[i])
+                    EnergyBalance::at_once(heating, collisional[i], sinks, slip[i])
                 } else {
                     let heating = theta_new[i] + theta[i] * (-work).max(R::ZERO);
-                    EnergyBalance::after(theta[i], heating, collisional, sinks, slip[i], dt)
+                    EnergyBalance::after(theta[i], heating, collisional[i], sinks, slip[i], dt)
                 };
                 (cubic[i], linear[i]) = (balance.cubic, balance.linear);
                 speed[i] = balance.bound();
             }
             for _ in 0..EnergyBalance::<R>::STEPS {
                 for i in 0..m {
-                    let collisional = theory.collisional_dissipation(phi[i], g0[i]);
-                    let (cubic, linear, slip) = (cubic[i], linear[i], slip[i]);
-                    speed[i] = EnergyBalance { collisional, cubic, linear, slip }.nearer(speed[i]);
+                    let balance = EnergyBalance {
+                        collisional: collisional[i],
+                        cubic: cubic[i],
+                        linear: linear[i],
+                        slip: slip[i],
+                    };
+                    speed[i] = balance.nearer(speed[i]);
                 }
             }
             for i in 0..m {
@@ -510,9 +515,8 @@ simd! {
                 pressure[i] = theory.pressure(phi[i], g0[i], warm) + contacts;
                 let slope = radial.slope(phi[i], g0[i]);
                 // Dissipation is implicit, so of the heat of compression a step keeps only this.
-                let collisional = theory.collisional_dissipation(phi[i], g0[i]);
                 let damping = theory.viscous_dissipation(drag[i]);
-                let loss = dt * (collisional * speed[i] + two_thirds * damping);
+                let loss = dt * (collisional[i] * speed[i] + two_thirds * damping);
                 let adiabatic = R::ONE / (R::ONE + loss);
                 sound[i] =
                     theory.sound_speed_squared(phi[i], g0[i], slope, warm, adiabatic) + stiffness;
