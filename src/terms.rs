@@ -1,8 +1,6 @@
 //! [`terms`]: which terms of the equations a case models, and why.
 
-use crate::case::{
-    Case, Diameters, FrictionChoice, GranularEnergyChoice, Places, SPREAD, with_friction,
-};
+use crate::case::{Case, Diameters, FrictionChoice, GranularEnergyChoice, Places, with_friction};
 use crate::laws::friction::Friction;
 use serde::Serialize;
 use std::f64::consts::PI;
@@ -103,15 +101,13 @@ pub fn terms(case: &Case) -> Vec<Term> {
                 cell / powder.diameter,
                 own / powder.diameter,
                 if particles.smoothing > own {
-                    format!(", and on any cells it is {width:.2} d")
-                } else if width < 0.99 * SPREAD {
+                    format!(", and a Gaussian makes it {width:.2} d")
+                } else {
                     let few = least * (cell / powder.diameter).powi(3) * 6.0 / PI;
                     format!(
                         ": with {few:.1} particles in a cell at ⟨φ⟩ = {least}, drag follows their noise and \
-                         H counts it as clusters"
+                         their places in it, and H counts both as clusters"
                     )
-                } else {
-                    String::new()
                 }
             ),
         };
@@ -185,27 +181,29 @@ mod tests {
             let text = text.replace("mapping =", &format!("{smoothing}\nmapping ="));
             line(&terms(&Case::parse(&text, "test").unwrap()), "smoothing")
         };
-        for (cells, own) in [
-            ("cells = [8, 8, 32]", "cells of 3.33 d alone spread a particle by 1.36 d"),
-            ("cells = [16, 16, 64]", "cells of 1.67 d alone spread a particle by 0.68 d"),
+        for (cells, spread) in [
+            (
+                "cells = [8, 8, 32]",
+                "3.33 d alone spread a particle by 1.36 d, and a Gaussian makes it 2.70 d",
+            ),
+            (
+                "cells = [16, 16, 64]",
+                "1.67 d alone spread a particle by 0.68 d, and a Gaussian makes it 2.70 d",
+            ),
+            (
+                "cells = [8, 8, 16]",
+                "3.33 d alone spread a particle by 1.36 d, and a Gaussian makes it 5.40 d",
+            ),
         ] {
-            assert_eq!(
-                of(cells, ""),
-                format!("smoothing on: {own}, and on any cells it is 2.70 d")
-            );
+            assert_eq!(of(cells, ""), format!("smoothing on: cells of {spread}"));
         }
-        let wide = text.replace("6.64 L_II", "13.4 L_II").replace("26.56 L_II", "53.6 L_II");
-        assert_eq!(
-            line(&terms(&Case::parse(&wide, "test").unwrap()), "smoothing"),
-            "smoothing off: cells of 6.73 d alone spread a particle by 2.75 d"
-        );
         let own = "cells of 1.67 d alone spread a particle by 0.68 d";
         // 0.05 · 1.67³ · 6/π.
         assert_eq!(
             of("cells = [16, 16, 64]", "smoothing = 0"),
             format!(
                 "smoothing off: {own}: with 0.4 particles in a cell at ⟨φ⟩ = 0.05, drag follows their noise \
-                 and H counts it as clusters"
+                 and their places in it, and H counts both as clusters"
             )
         );
     }

@@ -14,7 +14,7 @@ use super::{
     Case, Diameters, Domain, DragChoice, Drive, DriveChoice, EdgesChoice, FieldsChoice, FilterCase,
     FrictionChoice, KernelChoice, MappingChoice, MarkerChoice, MixtureChoice, OutputCase,
     ParticlesCase, ParticlesStart, Physics, Places, Precision, RadialDistributionChoice, RunCase,
-    SPREAD, SolverChoice, Terms, edges, least, quoted,
+    SolverChoice, Terms, default_spread, edges, least, quoted,
 };
 use crate::laws::contact::{Contact, cohesion_of, pull, stiffness_for};
 use crate::laws::scales::{Gas, Powder, Scales};
@@ -385,14 +385,15 @@ fn resolve_particles(
         }
     }
     let mapping = typed.mapping.as_ref().map_or(MappingChoice::Trilinear, |typed| typed.value);
-    // Standard deviation of the narrowest shares, and the shortest edge.
-    let [bare, shortest] = domain.map_or([0.0, f64::INFINITY], |(size, cells)| {
+    // Standard deviation of the narrowest shares and that by default, and the shortest edge.
+    let [bare, spread, shortest] = domain.map_or([0.0, 0.0, f64::INFINITY], |(size, cells)| {
         let bare = mapping.variance(least(edges(size, cells)), powder.diameter).sqrt();
-        [bare, least(size.iter().copied())]
+        let spread = default_spread(powder.diameter, edges(size, cells));
+        [bare, spread, least(size.iter().copied())]
     });
     let smoothing = match &typed.smoothing {
         None => {
-            let width = (SPREAD * powder.diameter).min(0.25 * shortest);
+            let width = spread.min(0.25 * shortest);
             Some(if width > bare { width } else { 0.0 })
         }
         Some(typed) => {
