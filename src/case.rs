@@ -1286,6 +1286,7 @@ precision = "f64"
         let finer = text.replace("cells = [8, 8, 32]", "cells = [12, 12, 48]");
         let smoothing = |text: &str| Case::parse(text, "x").unwrap().particles.unwrap().smoothing;
         let coarser = text.replace("cells = [8, 8, 32]", "cells = [8, 8, 16]");
+        let coarser = coarser.replace("\"1.66 L_II\", ", "");
         for (text, wanted) in
             [(text, 2.025e-4), (&finer, 2.025e-4), (&coarser, 0.81 * 26.56 / 16.0 * 3.012_5e-4)]
         {
