@@ -101,7 +101,11 @@ pub fn terms(case: &Case) -> Vec<Term> {
                 cell / powder.diameter,
                 own / powder.diameter,
                 if particles.smoothing > own {
-                    format!(", and a Gaussian makes it {width:.2} d")
+                    // A box filter of width w spreads by w/√12.
+                    let filter = 1e3 * 12f64.sqrt() * particles.smoothing;
+                    format!(
+                        ", and a Gaussian makes it {width:.2} d, as a filter of {filter:.2} mm does"
+                    )
                 } else {
                     let few = least * (cell / powder.diameter).powi(3) * 6.0 / PI;
                     format!(
@@ -184,15 +188,15 @@ mod tests {
         for (cells, spread) in [
             (
                 "cells = [8, 8, 32]",
-                "3.33 d alone spread a particle by 1.36 d, and a Gaussian makes it 2.70 d",
+                "3.33 d alone spread a particle by 1.36 d, and a Gaussian makes it 2.70 d, as a filter of 0.70 mm does",
             ),
             (
                 "cells = [16, 16, 64]",
-                "1.67 d alone spread a particle by 0.68 d, and a Gaussian makes it 2.70 d",
+                "1.67 d alone spread a particle by 0.68 d, and a Gaussian makes it 2.70 d, as a filter of 0.70 mm does",
             ),
             (
                 "cells = [8, 8, 16]",
-                "3.33 d alone spread a particle by 1.36 d, and a Gaussian makes it 5.40 d",
+                "3.33 d alone spread a particle by 1.36 d, and a Gaussian makes it 5.40 d, as a filter of 1.40 mm does",
             ),
         ] {
             assert_eq!(of(cells, ""), format!("smoothing on: cells of {spread}"));
