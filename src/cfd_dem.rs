@@ -487,9 +487,9 @@ impl CfdDem {
         let radius = self.radius;
         let particles = self.dem.positions().iter().zip(self.dem.velocities());
         for ((position, velocity), rate) in particles.zip(&mut self.rates) {
-            let faces = self.mapping.face_shares(*position);
+            let (faces, cells) = self.mapping.face_shares(*position);
             let [ux, uy, uz] = faces.see(&self.seen);
-            let [.., phi] = self.mapping.shares(*position).see(&self.seen);
+            let [.., phi] = cells.see(&self.seen);
             let v = velocity.vector();
             let slip = [ux - v[0], uy - v[1], uz - v[2]];
             let speed = slip.iter().map(|s| s * s).sum::<f64>().sqrt();
@@ -555,8 +555,9 @@ impl CfdDem {
         let Self { dem, mapping, pulls, rates, .. } = self;
         for place in 0..dem.len() {
             let position = dem.positions()[place];
-            let u = mapping.face_shares(position).see(pulls);
-            let [.., x, y, z] = mapping.shares(position).see(pulls);
+            let (faces, cells) = mapping.face_shares(position);
+            let u = faces.see(pulls);
+            let [.., x, y, z] = cells.see(pulls);
             let slope = [x, y, z];
             let v = dem.velocities()[place].vector();
             let rate = rates[place];
@@ -638,7 +639,7 @@ impl CfdDem {
             for axis in 0..3 {
                 solids[axis] += volume * (velocity.0[axis] + owed.0[axis]);
             }
-            seen += volume * self.mapping.face_shares(*position).see(&self.pulls)[2];
+            seen += volume * self.mapping.face_shares(*position).0.see(&self.pulls)[2];
         }
         let falling = falling / whole;
         Means {

@@ -48,8 +48,8 @@ impl CfdDem {
         mapping.smooth(&mut seen);
         let particles = self.dem.positions().iter().zip(self.dem.velocities());
         for (position, velocity) in particles {
-            let shares = mapping.shares(*position);
-            let [ux, uy, uz] = mapping.face_shares(*position).see(&self.pulls);
+            let (faces, shares) = mapping.face_shares(*position);
+            let [ux, uy, uz] = faces.see(&self.pulls);
             let [phi] = shares.see(&seen);
             let [x, y, z] = velocity.vector();
             let speed = ((ux - x).powi(2) + (uy - y).powi(2) + (uz - z).powi(2)).sqrt();

@@ -18,6 +18,8 @@ pub(super) struct Mapping {
     cells: [usize; 3],
     inverse_spacing: [f64; 3],
     choice: MappingChoice,
+    /// Edge of the cube of a sphere's volume, over its radius.
+    cube: f64,
     smoothing: Smoothing,
     /// What [`Mapping::smooth`] writes to.
     scratch: Vec<[f64; 8]>,
@@ -77,11 +79,13 @@ impl FaceShares {
     /// what a cell has.
     #[inline(always)]
     pub fn see<const N: usize>(&self, from: &[[f64; N]]) -> [f64; 3] {
-        std::array::from_fn(|axis| {
-            let shares = &self.0[axis];
-            let near = shares.cells.iter().zip(&shares.weights);
-            near.map(|(&cell, &weight)| weight * from[cell as usize][axis]).sum()
-        })
+        let mut seen = [0.0; 3];
+        for (axis, shares) in self.0.iter().enumerate() {
+            for (&cell, &weight) in shares.cells.iter().zip(&shares.weights) {
+                seen[axis] += weight * from[cell as usize][axis];
+            }
+        }
+        seen
     }
 }
 
@@ -93,18 +97,25 @@ type Pair = ([u32; 2], [f64; 2]);
 /// Trilinear: a hat as wide as two cells. Divided: what lies in either cell of an edge `edge` of
 /// the cube of the particle's volume.
 #[inline(always)]
-fn along(choice: MappingChoice, place: f64, edge: f64) -> (f64, f64) {
+fn along(choice: MappingChoice, place: f64, edge: f64) -> (i64, f64) {
     match choice {
         MappingChoice::Trilinear => {
-            let lower = (place - 0.5).floor();
-            (lower, 1.0 - (place - 0.5 - lower))
+            let lower = floor(place - 0.5);
+            (lower, 1.0 - (place - 0.5 - lower as f64))
         }
         MappingChoice::Divided => {
             let begin = place - 0.5 * edge;
-            let lower = begin.floor();
-            (lower, ((lower + 1.0 - begin) / edge).min(1.0))
+            let lower = floor(begin);
+            (lower, ((lower as f64 + 1.0 - begin) / edge).min(1.0))
         }
     }
+}
+
+/// The largest integer that is no larger; the standard library's is a call in portable code.
+#[inline(always)]
+fn floor(x: f64) -> i64 {
+    let toward_zero = x as i64;
+    toward_zero - i64::from(x < toward_zero as f64)
 }
 
 impl Mapping {
@@ -116,60 +127,63 @@ impl Mapping {
             cells: grid.cells,
             inverse_spacing: grid.spacing.map(|h| 1.0 / h),
             choice,
+            cube: 2.0 * (PI / 6.0).cbrt(),
             smoothing: Smoothing::new(grid.spacing, grid.spacing.map(missing)),
             scratch: Vec::new(),
         }
     }
 
-    /// The cells along each axis that share a particle, and the faces of that axis.
+    /// The cells along each axis that share a particle, and the faces of that axis. (Loops, here and below:
+    /// closures of `from_fn` are not inlined.)
     #[inline(always)]
     fn pairs(&self, Quad([x, y, z, radius]): Quad) -> [[Pair; 2]; 3] {
-        // Edge of the cube of the sphere's volume.
-        let edge = 2.0 * radius * (PI / 6.0).cbrt();
-        let place = [x, y, z];
-        std::array::from_fn(|axis| {
+        let edge = self.cube * radius;
+        let mut pairs = [[Pair::default(); 2]; 3];
+        for (axis, place) in [x, y, z].into_iter().enumerate() {
             let inverse = self.inverse_spacing[axis];
             let cells = self.cells[axis] as i64;
             // A face is where the cell above it begins, half a cell below its centre.
-            [0.0, 0.5].map(|shift| {
-                let (lower, share) =
-                    along(self.choice, place[axis] * inverse + shift, edge * inverse);
-                let lower = (lower as i64).rem_euclid(cells);
+            for (pair, shift) in pairs[axis].iter_mut().zip([0.0, 0.5]) {
+                let (lower, share) = along(self.choice, place * inverse + shift, edge * inverse);
+                let lower =
+                    if (0..cells).contains(&lower) { lower } else { lower.rem_euclid(cells) };
                 let upper = if lower + 1 == cells { 0 } else { lower + 1 };
-                ([lower as u32, upper as u32], [share, 1.0 - share])
-            })
-        })
+                *pair = ([lower as u32, upper as u32], [share, 1.0 - share]);
+            }
+        }
+        pairs
     }
 
     /// The cells that share what the pairs along each axis share.
     #[inline(always)]
     fn product(&self, [x, y, z]: [Pair; 3]) -> Shares {
         let [width, depth] = [self.cells[0] as u32, self.cells[1] as u32];
-        let corner = |n: usize| [n & 1, (n >> 1) & 1, n >> 2];
-        Shares {
-            cells: std::array::from_fn(|n| {
-                let [i, j, k] = corner(n);
-                (z.0[k] * depth + y.0[j]) * width + x.0[i]
-            }),
-            weights: std::array::from_fn(|n| {
-                let [i, j, k] = corner(n);
-                x.1[i] * y.1[j] * z.1[k]
-            }),
+        let mut shares = Shares { cells: [0; 8], weights: [0.0; 8] };
+        for n in 0..8 {
+            let [i, j, k] = [n & 1, (n >> 1) & 1, n >> 2];
+            shares.cells[n] = (z.0[k] * depth + y.0[j]) * width + x.0[i];
+            shares.weights[n] = x.1[i] * y.1[j] * z.1[k];
         }
+        shares
     }
 
     /// The cells that share a particle: its centre and radius.
     #[inline(always)]
     pub fn shares(&self, particle: Quad) -> Shares {
-        self.product(self.pairs(particle).map(|[centre, _]| centre))
+        let [[x, _], [y, _], [z, _]] = self.pairs(particle);
+        self.product([x, y, z])
     }
 
-    /// The faces that share it.
+    /// The faces that share it, and the cells.
     #[inline(always)]
-    pub fn face_shares(&self, particle: Quad) -> FaceShares {
-        let pairs = self.pairs(particle);
-        let of = |axis: usize| std::array::from_fn(|a| pairs[a][usize::from(a == axis)]);
-        FaceShares([0, 1, 2].map(|axis| self.product(of(axis))))
+    pub fn face_shares(&self, particle: Quad) -> (FaceShares, Shares) {
+        let [x, y, z] = self.pairs(particle);
+        let faces = [
+            self.product([x[1], y[0], z[0]]),
+            self.product([x[0], y[1], z[0]]),
+            self.product([x[0], y[0], z[1]]),
+        ];
+        (FaceShares(faces), self.product([x[0], y[0], z[0]]))
     }
 
     /// Spreads what cells hold by a Gaussian to the width asked for, keeping its sum: explicit steps of
@@ -242,7 +256,7 @@ mod tests {
                     let faces: Vec<[f64; 3]> =
                         centres.iter().map(|centre| centre.map(|x| x - 0.05)).collect();
                     let of_faces =
-                        mapping(choice, 0.0).face_shares(Quad([x, y, z, 0.05])).see(&faces);
+                        mapping(choice, 0.0).face_shares(Quad([x, y, z, 0.05])).0.see(&faces);
                     for axis in 0..3 {
                         prop_assert!((seen[axis] - place[axis]).abs() < 1e-14);
                         prop_assert!((of_faces[axis] - place[axis]).abs() < 1e-14);
@@ -285,7 +299,7 @@ mod tests {
             let particle = Quad([x, y, z, radius]);
             if let Some(axis) = faces {
                 let mut all = vec![[0.0; 6]; values.len()];
-                mapping.face_shares(particle).give(&mut all, [1.0; 3], [2.0; 3]);
+                mapping.face_shares(particle).0.give(&mut all, [1.0; 3], [2.0; 3]);
                 assert!(all.iter().all(|all| all[3 + axis] == 2.0 * all[axis]));
                 values.iter_mut().zip(&all).for_each(|(value, all)| *value = [all[axis]]);
             } else {

@@ -439,7 +439,7 @@ fn fields_are_sums_over_particles() {
     let drag = mean(&|c| fine.drag[2][c]);
     let mut whole = 0.0;
     for (place, position) in flow.dem.positions().iter().enumerate() {
-        let [ux, uy, uz] = flow.mapping.face_shares(*position).see(&flow.pulls);
+        let [ux, uy, uz] = flow.mapping.face_shares(*position).0.see(&flow.pulls);
         let [x, y, z] = flow.dem.velocities()[place].vector();
         let speed = ((ux - x).powi(2) + (uy - y).powi(2) + (uz - z).powi(2)).sqrt();
         let [_, _, _, seen] = flow.mapping.shares(*position).see(&flow.seen);
