@@ -384,9 +384,12 @@ impl<R: Real, const D: usize> Slabs<'_, R, D> {
 #[derive(Debug)]
 pub(crate) struct Ring<R, const D: usize> {
     field: Field<R, D>,
-    /// Which slab each place holds: tests see to it that none is looked at that is gone.
+    /// Which slab each place holds: tests see to it that no other is looked at.
     #[cfg(test)]
     held: Vec<Option<isize>>,
+    /// The slab that was written last.
+    #[cfg(test)]
+    last: isize,
 }
 
 impl<R: Real, const D: usize> Ring<R, D> {
@@ -399,6 +402,8 @@ impl<R: Real, const D: usize> Ring<R, D> {
             field: Field::zeros(Layout::new(cells)),
             #[cfg(test)]
             held: vec![None; slabs],
+            #[cfg(test)]
+            last: isize::MIN,
         }
     }
 
@@ -408,10 +413,11 @@ impl<R: Real, const D: usize> Ring<R, D> {
         #[cfg(test)]
         {
             let place = row.slab() as usize % self.held.len();
-            if self.held[place] > Some(row.slab()) {
+            if row.slab() < self.last {
                 // Another sweep begins.
                 self.held.fill(None);
             }
+            self.last = row.slab();
             self.held[place] = Some(row.slab());
         }
         let Field { layout, data, origin } = &mut self.field;
@@ -438,8 +444,8 @@ impl<R: Real, const D: usize> Ring<R, D> {
     fn at(&self, row: Row<D>) -> usize {
         #[cfg(test)]
         assert!(
-            self.held[row.slab() as usize % self.held.len()] <= Some(row.slab()),
-            "slab {} of a ring is written over: {:?}",
+            self.held[row.slab() as usize % self.held.len()] == Some(row.slab()),
+            "slab {} of a ring is not made yet, or written over: {:?}",
             row.slab(),
             self.held
         );

@@ -287,7 +287,10 @@ impl<R: Real, const D: usize> Sweep<R, D> {
             }
             if let Some(slab) = due(2 * m, 3, 3) {
                 fastest.diffusivity = fastest.diffusivity.max(self.closures(before, after, slab));
-                self.stress(before, slab);
+                self.normal_stress(before, slab);
+            }
+            if let Some(slab) = due(2 * m, 2, 3) {
+                self.shear_stress(before, slab);
             }
             if let Some(slab) = due(2 * m + 1, 2, 2) {
                 self.shear(before, slab);
@@ -544,8 +547,8 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         }
     }
 
-    /// Viscous stress of the solids.
-    fn stress(&mut self, before: &Before<'_, R, D>, slab: isize) {
+    /// Viscous stress of the solids at the centres of the cells.
+    fn normal_stress(&mut self, before: &Before<'_, R, D>, slab: isize) {
         let h = before.inverse_spacing;
         for row in before.rows(slab) {
             for axis in 0..D {
@@ -557,6 +560,13 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     stress::normal_row(normal, axis, u, mu, bulk, h)
                 );
             }
+        }
+    }
+
+    /// Viscous stress of the solids at the edges.
+    fn shear_stress(&mut self, before: &Before<'_, R, D>, slab: isize) {
+        let h = before.inverse_spacing;
+        for row in before.rows(slab) {
             for (at, (a, b)) in pairs::<D>() {
                 let u = shear_lines(&self.solids, (a, b), row);
                 let mu = around(&self.viscosity, (a, b), row);
