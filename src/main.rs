@@ -361,12 +361,15 @@ fn hard_cases(args: &cli::HardCases) -> Result<(), Failure> {
     }
 }
 
-/// An error and its causes on one line.
+/// An error and its causes on one line; some errors say their cause themselves.
 fn chain(error: &dyn Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
     while let Some(error) = cause {
-        text = format!("{text}: {error}");
+        let why = error.to_string();
+        if !text.ends_with(&why) {
+            text = format!("{text}: {why}");
+        }
         cause = error.source();
     }
     text

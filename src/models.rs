@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 use std::io::{self, Read, Write};
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 use favre::closure::{BUILT_IN, Closure, Quantity, Status};
@@ -136,6 +137,11 @@ fn eval(args: &cli::Eval) -> Result<(), Failure> {
         if let Some(value) = values.iter().find(|value| !value.is_finite()) {
             return Err(Failure::misuse(format!("{option} {value}: a finite number is needed")));
         }
+        if let Some((possible, what)) = possible(markers[0])
+            && let Some(value) = values.iter().find(|value| !possible.contains(value))
+        {
+            return Err(Failure::misuse(format!("{option} {value}: {what}")));
+        }
     }
     for marker in quantity.markers() {
         let (_, values, _) = of(marker).expect("every marker has an option");
@@ -175,6 +181,19 @@ fn eval(args: &cli::Eval) -> Result<(), Failure> {
 const BLOCK: usize = 1 << 17;
 
 /// Evaluates the points.
+/// What a marker can be, and how to say so; none if it can be anything.
+fn possible(marker: Marker) -> Option<(RangeInclusive<f64>, &'static str)> {
+    match marker {
+        Marker::SolidsFraction => Some((0.0..=1.0, "a solids fraction is from 0 to 1")),
+        Marker::FilterWidth => Some((0.0..=f64::MAX, "a filter width is not negative")),
+        Marker::ShearRate | Marker::GasShearRate => {
+            Some((0.0..=f64::MAX, "a shear rate is not negative"))
+        }
+        Marker::WallDistance => Some((0.0..=f64::MAX, "a distance is not negative")),
+        Marker::Slip | Marker::PressureGradient => None,
+    }
+}
+
 fn evaluate(quantity: &Quantity, columns: &Columns, values: &mut Vec<f64>) {
     values.resize(columns.rows(), 0.0);
     quantity.evaluate(&columns.parts(), values);

@@ -100,6 +100,14 @@ fn points_give_the_same_from_options_text_and_doubles() {
     assert!(cut.contains("ends inside a point of 2 doubles"), "{cut}");
     let missing = refused(&favre(dir.path(), &["eval", "default", "--phi", "0.1"], b""));
     assert!(missing.contains("drag_correction of default needs --filter"), "{missing}");
+    for (args, why) in [
+        (["--phi", "1.4", "--filter", "2"], "--phi 1.4: a solids fraction is from 0 to 1"),
+        (["--phi", "0.1", "--filter=-2", "--json"], "--filter -2: a filter width is not negative"),
+    ] {
+        let args: Vec<&str> = ["eval", "default"].into_iter().chain(args).collect();
+        let impossible = refused(&favre(dir.path(), &args, b""));
+        assert!(impossible.contains(why), "{impossible}");
+    }
     let empty = refused(&favre(dir.path(), &["eval", "parmentier-2012", "--phi", "0.1"], b""));
     assert!(empty.contains("has no formula to evaluate"), "{empty}");
 }
