@@ -2,15 +2,15 @@
 //! slabs of a field that a sweep leaves behind. All periodic.
 
 use crate::grid::Grid;
+use crate::memory::Memory;
 use crate::real::Real;
 
 /// Cells copied to either end of a row from its other end: what a limited slope needs beside a face.
 pub(crate) const HALO: usize = 2;
 
 /// Elements between two rows, which hold the end of the halo of one and the beginning of that of the
-/// next. Rows start a multiple of 64 bytes apart, an odd one for the usual numbers of cells, so that
-/// neighbouring rows do not fall into the same cache set.
-const PAD: usize = 8;
+/// next: no more, because kernels go over them where several rows are one long row.
+const PAD: usize = 4;
 
 /// Where the cells of a grid lie in memory: rows along the first axis are contiguous.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -89,23 +89,24 @@ impl<const D: usize> Layout<D> {
     /// whose neighbours lie as they do in memory are one. A kernel does well on long rows.
     #[inline(always)]
     pub(crate) fn pieces(&self, slab: isize) -> impl Iterator<Item = Row<D>> + use<D> {
-        let rows = self.rows_of_slab();
+        let layout = *self;
+        // In two dimensions there is one, which the compiler is to see.
+        let rows = if D == 2 { 1 } else { layout.rows_of_slab() };
         let near = HALO.min(rows);
         let inner = rows.saturating_sub(2 * near);
-        let mut pieces = [Row { at: [0; D], extent: 0 }; 2 * HALO + 1];
-        let mut filled = 0;
         let mut row = 0;
-        while row < rows {
-            let piece = &mut pieces[filled];
+        std::iter::from_fn(move || {
+            if row == rows {
+                return None;
+            }
+            let mut at = [0; D];
             // The rows of a slab are counted along the second axis.
-            piece.at[1] = row as isize;
-            piece.at[D - 1] = slab;
+            at[1] = row as isize;
+            at[D - 1] = slab;
             let count = if row == near && inner > 0 { inner } else { 1 };
-            piece.extent = self.extent(count);
             row += count;
-            filled += 1;
-        }
-        pieces.into_iter().take(filled)
+            Some(Row { at, extent: layout.extent(count) })
+        })
     }
 
     /// Elements from the first cell of `rows` rows to the last.
@@ -121,6 +122,11 @@ impl<const D: usize> Layout<D> {
     ) -> impl Iterator<Item = &'a [R]> + use<'a, R, D> {
         let n = self.cells[0];
         cells.chunks(self.stride[1]).map(move |row| &row[..n])
+    }
+
+    /// Elements from the first cell of one row to that of the next.
+    pub(crate) fn row_stride(&self) -> usize {
+        self.stride[1]
     }
 
     /// Elements from the first cell of one slab to that of the next.
@@ -152,10 +158,9 @@ impl<const D: usize> Layout<D> {
     /// Index of a row along an axis, on this side of the boundary.
     #[inline(always)]
     fn wrapped(&self, row: Row<D>, axis: usize) -> usize {
-        let (index, n) = (row.at[axis], self.cells[axis] as isize);
+        let (index, n) = (row.at[axis] as usize, self.cells[axis]);
         // Few rows lie beyond the boundary; a remainder for each would cost as much as a kernel.
-        let index = if index >= 0 && index < n { index } else { index.rem_euclid(n) };
-        index as usize
+        if index < n { index } else { row.at[axis].rem_euclid(n as isize) as usize }
     }
 
     /// Length of the memory of all rows with their halos.
@@ -227,7 +232,7 @@ impl<const D: usize> Layout<D> {
 #[derive(Debug)]
 pub struct Field<R, const D: usize> {
     pub(crate) layout: Layout<D>,
-    data: Vec<R>,
+    data: Memory<R>,
     /// Where the first cell is, on a multiple of 64 bytes: a vector that crosses two cache lines
     /// costs twice.
     origin: usize,
@@ -249,7 +254,7 @@ impl<R: Real, const D: usize> Field<R, D> {
     /// A field of zeros.
     pub fn zeros(layout: Layout<D>) -> Self {
         const LINE: usize = 64;
-        let data = vec![R::ZERO; layout.len() + LINE / size_of::<R>()];
+        let data = Memory::<R>::zeros(layout.len() + LINE / size_of::<R>());
         let origin = PAD + data[PAD..].as_ptr().align_offset(LINE).min(LINE / size_of::<R>());
         Self { layout, data, origin }
     }
@@ -365,12 +370,13 @@ impl<R: Real, const D: usize> Slabs<'_, R, D> {
         (Self { layout, first, data: lower }, Self { layout, first: slab, data: upper })
     }
 
-    /// A row and its halo; `spare` if it is not of these slabs.
+    /// A row and its halo; `spare` if it is not of these slabs. Where these are all that there are, every
+    /// row is of them, beyond the boundary or not.
     #[inline(always)]
     pub(crate) fn line<'b>(&'b mut self, row: Row<D>, spare: &'b mut [R]) -> &'b mut [R] {
         let slab = self.layout.slab();
         let slabs = self.first as isize..(self.first + self.data.len() / slab) as isize;
-        if slabs.contains(&row.slab()) {
+        if slabs.contains(&row.slab()) || slabs.len() == self.layout.cells[D - 1] {
             let at = self.layout.offset(row) - self.first * slab + PAD / 2;
             &mut self.data[Layout::<D>::with_halo(at, row.extent)]
         } else {
@@ -384,6 +390,8 @@ impl<R: Real, const D: usize> Slabs<'_, R, D> {
 #[derive(Debug)]
 pub(crate) struct Ring<R, const D: usize> {
     field: Field<R, D>,
+    /// The first slabs that the sweep made, if it [keeps](Ring::keep) them.
+    kept: Memory<R>,
     /// Which slab each place holds: tests see to it that no other is looked at.
     #[cfg(test)]
     held: Vec<Option<isize>>,
@@ -400,6 +408,7 @@ impl<R: Real, const D: usize> Ring<R, D> {
         cells[D - 1] = slabs;
         Self {
             field: Field::zeros(Layout::new(cells)),
+            kept: Memory::zeros(0),
             #[cfg(test)]
             held: vec![None; slabs],
             #[cfg(test)]
@@ -407,19 +416,58 @@ impl<R: Real, const D: usize> Ring<R, D> {
         }
     }
 
+    /// With room to [`keep`](Ring::keep) as many of the first slabs that a sweep makes.
+    #[must_use]
+    pub(crate) fn with_kept(mut self, slabs: usize) -> Self {
+        self.kept = Memory::zeros(slabs * self.field.layout.slab());
+        self
+    }
+
+    /// Keeps a slab, the sweep's `number`-th, if there is room for as many.
+    pub(crate) fn keep(&mut self, slab: isize, number: usize) {
+        let from = self.memory_of(slab);
+        let len = from.len();
+        if let Some(kept) = self.kept.chunks_exact_mut(len).nth(number) {
+            kept.copy_from_slice(&self.field.data[from]);
+        }
+    }
+
+    /// Makes the `number`-th slab that was kept the slab `slab`, if there was room to keep it.
+    pub(crate) fn bring_back(&mut self, slab: isize, number: usize) {
+        let to = self.memory_of(slab);
+        let len = to.len();
+        if let Some(kept) = self.kept.chunks_exact(len).nth(number) {
+            self.field.data[to].copy_from_slice(kept);
+            #[cfg(test)]
+            self.holds(slab);
+        }
+    }
+
+    /// Where the rows of a slab and their halos are.
+    fn memory_of(&self, slab: isize) -> std::ops::Range<usize> {
+        let Field { layout, origin, .. } = &self.field;
+        let place = slab & (layout.cells[D - 1] as isize - 1);
+        let begin = *origin - PAD / 2 + place as usize * layout.slab();
+        begin..begin + layout.slab()
+    }
+
+    /// Notes that a slab is written.
+    #[cfg(test)]
+    fn holds(&mut self, slab: isize) {
+        let place = slab as usize % self.held.len();
+        if slab < self.last {
+            // Another sweep begins.
+            self.held.fill(None);
+        }
+        self.last = slab;
+        self.held[place] = Some(slab);
+    }
+
     /// A row and its halo, to be written.
     #[inline(always)]
     pub(crate) fn line(&mut self, row: Row<D>) -> &mut [R] {
         #[cfg(test)]
-        {
-            let place = row.slab() as usize % self.held.len();
-            if row.slab() < self.last {
-                // Another sweep begins.
-                self.held.fill(None);
-            }
-            self.last = row.slab();
-            self.held[place] = Some(row.slab());
-        }
+        self.holds(row.slab());
         let Field { layout, data, origin } = &mut self.field;
         let at = *origin + layout.offset_in_ring(row);
         &mut data[Layout::<D>::with_halo(at, row.extent)]

@@ -7,6 +7,7 @@ pub mod case;
 
 pub mod field;
 pub mod grid;
+pub mod memory;
 pub mod poisson;
 pub mod real;
 pub mod rows;

@@ -90,11 +90,13 @@ const EXP2: [f64; 14] = {
     }
     c
 };
+const EXP2_F32: [f64; 7] = economised(EXP2, 1, 0.5);
+const EXP2_F64: [f64; 12] = economised(EXP2, 1, 0.5);
 
 /// Bits of the first guess of x^(-1/3), less a third of those of x, that make its largest relative
 /// error smallest (0.034).
-const CBRT_F32: u32 = 0x54a2_1d2a;
-const CBRT_F64: u64 = 0x553e_f0ff_289d_d796;
+const CBRT_F32: u32 = 0x54a2_0800;
+const CBRT_F64: u64 = 0x553e_dbaf_3ded_d796;
 
 /// Two thirds of the bits of 1, and what a third of bits made of shifts falls short by.
 const THIRD_F32: u32 = 0x2a55_555b;
@@ -110,14 +112,68 @@ const LOG2: [f64; 12] = {
     }
     c
 };
+/// (√2 - 1)/(√2 + 1), the largest s.
+const LARGEST_S: f64 = 3.0 - 2.0 * std::f64::consts::SQRT_2;
+const LOG2_F32: [f64; 4] = economised(LOG2, 2, LARGEST_S);
+const LOG2_F64: [f64; 8] = economised(LOG2, 2, LARGEST_S);
 
-/// The first `$terms` of a polynomial, odd and even powers apart: two short chains of dependent
+/// A polynomial of fewer terms that is as near as can be on |x| ≤ `radius`, all but for some per cent: its
+/// highest powers one after the other give way to lower ones by multiples of Chebyshev's polynomials
+/// (Lanczos 1938). Term n is of x^(`step` n); `step` is 1, or 2 for an even polynomial.
+const fn economised<const FROM: usize, const TO: usize>(
+    mut c: [f64; FROM],
+    step: usize,
+    radius: f64,
+) -> [f64; TO] {
+    let mut kept = [0.0; TO];
+    let mut n = FROM;
+    while n > 0 {
+        n -= 1;
+        if n < TO {
+            kept[n] = c[n];
+            continue;
+        }
+        // T_k, of the powers of x / radius.
+        let (mut before, mut t) = ([0.0; 32], [0.0; 32]);
+        (before[0], t[1]) = (1.0, 1.0);
+        let mut k = 1;
+        while k < step * n {
+            let mut next = [0.0; 32];
+            let mut power = 0;
+            while power <= k + 1 {
+                let raised = if power > 0 { 2.0 * t[power - 1] } else { 0.0 };
+                next[power] = raised - before[power];
+                power += 1;
+            }
+            (before, t) = (t, next);
+            k += 1;
+        }
+        // Down from the highest term, so that its power of the radius is divided out.
+        let (mut m, mut scale) = (n, c[n] / t[step * n]);
+        loop {
+            c[m] -= scale * t[step * m];
+            if m == 0 {
+                break;
+            }
+            m -= 1;
+            let mut times = 0;
+            while times < step {
+                scale *= radius;
+                times += 1;
+            }
+        }
+    }
+    kept
+}
+
+/// A polynomial, odd and even powers apart: two short chains of dependent
 /// operations take half the time of one.
 macro_rules! polynomial {
-    ($t:ident, $coefficients:ident, $terms:expr, $x:expr) => {{
+    ($t:ident, $coefficients:ident, $x:expr) => {{
+        const TERMS: usize = $coefficients.len();
         let (x, x2) = ($x, $x * $x);
-        let mut sums = [$coefficients[$terms - 2] as $t, $coefficients[$terms - 1] as $t];
-        let mut n = $terms - 2;
+        let mut sums = [$coefficients[TERMS - 2] as $t, $coefficients[TERMS - 1] as $t];
+        let mut n = TERMS - 2;
         while n >= 2 {
             n -= 2;
             sums[0] = sums[0] * x2 + $coefficients[n] as $t;
@@ -132,7 +188,7 @@ macro_rules! polynomial {
 }
 
 macro_rules! real {
-    ($t:ident, $bits:ident, $signed:ident, $mantissa:expr, $bias:expr, $round:expr, $exp_terms:expr, $log_terms:expr, $cbrt:expr, $cbrt_steps:expr, $third:expr) => {
+    ($t:ident, $bits:ident, $signed:ident, $mantissa:expr, $bias:expr, $round:expr, $exp:ident, $log:ident, $cbrt:expr, $third_term:expr, $third:expr) => {
         impl Real for $t {
             const ZERO: Self = 0.0;
             const ONE: Self = 1.0;
@@ -173,7 +229,7 @@ macro_rules! real {
                 let shifted = x + $round;
                 let fraction = x - (shifted - $round);
                 let exponent = shifted.to_bits() << $mantissa;
-                let sum = polynomial!($t, EXP2, $exp_terms, fraction);
+                let sum = polynomial!($t, $exp, fraction);
                 $t::from_bits(sum.to_bits().wrapping_add(exponent))
             }
 
@@ -188,7 +244,7 @@ macro_rules! real {
                 let e = $t::from_bits($round.to_bits().wrapping_add(exponent)) - $round;
                 let s = (m - 1.0) / (m + 1.0);
                 let s2 = s * s;
-                let sum = polynomial!($t, LOG2, $log_terms, s2);
+                let sum = polynomial!($t, $log, s2);
                 sum * s + e
             }
 
@@ -199,13 +255,14 @@ macro_rules! real {
                 let mut third = (bits >> 2) + (bits >> 4);
                 third += third >> 4;
                 third += third >> 8;
-                third += third >> 16;
                 let mut root = $t::from_bits($cbrt - third);
-                // Householder's method of third order for r = x^(-1/3), without a division.
+                // r = x^(-1/3) is a guess times (1 - off)^(-1/3), without a division: two steps of as many
+                // terms of that series as it takes.
                 let mut n = 0;
-                while n < $cbrt_steps {
+                while n < 2 {
                     let off = 1.0 - self * root * root * root;
-                    root += root * off * ((1.0 / 3.0) as $t + (2.0 / 9.0) as $t * off);
+                    let rest = if $third_term { (14.0 / 81.0) as $t * off } else { 0.0 };
+                    root += root * off * ((1.0 / 3.0) as $t + off * ((2.0 / 9.0) as $t + rest));
                     n += 1;
                 }
                 self * root * root
@@ -231,8 +288,20 @@ macro_rules! real {
     };
 }
 
-real!(f32, u32, i32, 23, 127, 12_582_912.0f32, 8, 5, CBRT_F32, 2, THIRD_F32);
-real!(f64, u64, i64, 52, 1023, 6_755_399_441_055_744.0f64, 14, 10, CBRT_F64, 3, THIRD_F64);
+real!(f32, u32, i32, 23, 127, 12_582_912.0f32, EXP2_F32, LOG2_F32, CBRT_F32, false, THIRD_F32);
+real!(
+    f64,
+    u64,
+    i64,
+    52,
+    1023,
+    6_755_399_441_055_744.0f64,
+    EXP2_F64,
+    LOG2_F64,
+    CBRT_F64,
+    true,
+    THIRD_F64
+);
 
 #[cfg(test)]
 mod tests {

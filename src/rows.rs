@@ -11,11 +11,10 @@
 use crate::field::{Field, HALO, Layout, Row};
 use crate::real::Real;
 use rayon::prelude::*;
-use std::ops::Range;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 /// Rows that one thread does at a time; also the leaf of the reduction tree.
-const LEAF: usize = 8;
+const LEAF: usize = 32;
 
 /// Instruction sets that kernels are compiled for, best last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -73,6 +72,7 @@ macro_rules! simd {
     ($(#[$meta:meta])* $vis:vis fn $name:ident[$($generics:tt)*]($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)? $body:block) => {
         $(#[$meta])*
         #[allow(clippy::too_many_arguments)]
+        #[inline(always)]
         $vis fn $name<$($generics)*>($($arg: $ty),*) $(-> $ret)? {
             #[inline(always)]
             #[allow(clippy::too_many_arguments)]
@@ -88,6 +88,10 @@ macro_rules! simd {
             #[allow(clippy::too_many_arguments)]
             fn avx512<$($generics)*>($($arg: $ty),*) $(-> $ret)? { body($($arg),*) }
 
+            #[inline(never)]
+            #[allow(clippy::too_many_arguments)]
+            fn baseline<$($generics)*>($($arg: $ty),*) $(-> $ret)? { body($($arg),*) }
+
             #[cfg(target_arch = "x86_64")]
             match $crate::rows::simd_level() {
                 // SAFETY: `simd_level` says so only where the processor has the instructions.
@@ -96,7 +100,7 @@ macro_rules! simd {
                 $crate::rows::Simd::Avx2 => return unsafe { avx2($($arg),*) },
                 $crate::rows::Simd::Baseline => {}
             }
-            body($($arg),*)
+            baseline($($arg),*)
         }
     };
 }
@@ -151,16 +155,28 @@ impl<const D: usize> Rows<D> {
     /// away: rows that lie in memory as their neighbours do are one long row, with what lies between them.
     pub fn map<R: Real, const K: usize>(
         &self,
-        mut outputs: [&mut Field<R, D>; K],
+        outputs: [&mut Field<R, D>; K],
         kernel: impl Fn(Row<D>, [&mut [R]; K]) + Sync,
     ) {
+        self.map_reduce(outputs, &kernel, &|(), ()| ());
+    }
+
+    /// [`Rows::map`] whose kernel also returns a number (or several), combined as by [`Rows::reduce`]; of a
+    /// long row [`Layout::each`] gives the cells.
+    pub(crate) fn map_reduce<R: Real, S: Send, const K: usize>(
+        &self,
+        mut outputs: [&mut Field<R, D>; K],
+        kernel: &(impl Fn(Row<D>, [&mut [R]; K]) -> S + Sync),
+        combine: &(impl Fn(S, S) -> S + Sync),
+    ) -> S {
         let shared = self.shared(&mut outputs);
         let leaf = |begin, end| {
-            for row in self.layout.runs(begin, end) {
-                self.one(row, &shared, &kernel);
-            }
+            let mut runs = self.layout.runs(begin, end);
+            let first = runs.next().expect("a leaf has rows");
+            let first = self.one(first, &shared, kernel);
+            runs.fold(first, |all, row| combine(all, self.one(row, &shared, kernel)))
         };
-        self.tree(0, self.layout.rows(), &leaf, &|(), ()| ());
+        self.tree(0, self.layout.rows(), &leaf, combine)
     }
 
     /// [`Rows::each`] whose kernel also returns a number (or several) per row, combined over the
@@ -347,14 +363,40 @@ pub(crate) use sum_axes;
 /// couple of hundred instructions and so finds little else to do meanwhile.
 pub(crate) const BLOCK: usize = 128;
 
-/// The elements of a row of `n`, [`BLOCK`] at a time.
+/// The elements of a row of `n`, [`BLOCK`] at a time: where each block begins, and how many are in it.
+///
+/// Slices of a block are to be made as `&q[begin..][..count]`, each by itself. Of slices from a range, or from
+/// `map` of an array of them, the compiler does not see that they are as long as the loop; and a loop that
+/// it thinks may end early leaves its last elements, a whole vector of them, to be done one by one.
 #[inline(always)]
-pub(crate) fn blocks(n: usize) -> impl Iterator<Item = Range<usize>> {
-    (0..n).step_by(BLOCK).map(move |begin| begin..n.min(begin + BLOCK))
+pub(crate) fn blocks(n: usize) -> impl Iterator<Item = (usize, usize)> {
+    (0..n).step_by(BLOCK).map(move |begin| (begin, BLOCK.min(n - begin)))
 }
 
 /// Lanes of a sum: as many partial sums as fill two of the widest vectors.
 const LANES: usize = 16;
+
+/// A function that combines all lanes of an array, half of them with the other half: one after the other,
+/// each would wait for the one before. Not inlined, or the compiler lays out the lanes for this and not for
+/// the loop that fills them.
+macro_rules! by_halves {
+    ($name:ident, |$a:ident, $b:ident| $combined:expr) => {
+        #[inline(never)]
+        fn $name<R: Real>(lanes: &mut [R; LANES]) -> R {
+            let mut count = LANES;
+            while count > 1 {
+                count /= 2;
+                for lane in 0..count {
+                    let ($a, $b) = (lanes[lane], lanes[lane + count]);
+                    lanes[lane] = $combined;
+                }
+            }
+            lanes[0]
+        }
+    };
+}
+by_halves!(sum_of, |a, b| a + b);
+by_halves!(largest_of, |a, b| a.max(b));
 
 simd! {
     /// Σ a b over a row, in double precision.
@@ -367,11 +409,10 @@ simd! {
                 lanes[lane] += a[lane].f64() * b[lane].f64();
             }
         }
-        let mut sum: f64 = lanes.iter().sum();
-        for i in whole..a.len() {
-            sum += a[i].f64() * b[i].f64();
+        for (lane, i) in (whole..a.len()).enumerate() {
+            lanes[lane] += a[i].f64() * b[i].f64();
         }
-        sum
+        sum_of(&mut lanes)
     }
 }
 
@@ -385,11 +426,31 @@ simd! {
                 lanes[lane] = lanes[lane].max(a[lane].abs());
             }
         }
-        let mut max = lanes.into_iter().fold(R::ZERO, R::max);
-        for a in &a[whole..] {
-            max = max.max(a.abs());
+        for (lane, a) in lanes.iter_mut().zip(&a[whole..]) {
+            *lane = lane.max(a.abs());
         }
-        max
+        largest_of(&mut lanes)
+    }
+}
+
+impl<const D: usize> Layout<D> {
+    /// The [`blocks`] of the cells of a [`Row`] of `elements`.
+    pub(crate) fn blocks(&self, elements: usize) -> impl Iterator<Item = (usize, usize)> + use<D> {
+        let (n, stride) = (self.cells[0], self.row_stride());
+        let rows = (0..elements).step_by(stride);
+        rows.flat_map(move |row| blocks(n).map(move |(begin, m)| (row + begin, m)))
+    }
+
+    /// Σ a b over the cells of a [`Row`].
+    #[inline(always)]
+    pub(crate) fn dot<A: Real, B: Real>(&self, a: &[A], b: &[B]) -> f64 {
+        self.each(a).zip(self.each(b)).map(|(a, b)| dot(a, b)).sum()
+    }
+
+    /// Largest |a| of the cells of a [`Row`].
+    #[inline(always)]
+    pub(crate) fn largest<R: Real>(&self, a: &[R]) -> R {
+        self.each(a).map(max_abs).fold(R::ZERO, R::max)
     }
 }
 

@@ -10,8 +10,10 @@ use crate::real::Real;
 #[inline(always)]
 pub fn half_limited_slope<R: Real>(behind: R, ahead: R) -> R {
     let central = R::of(0.25) * (behind + ahead);
-    let (low, high) = (behind.min(ahead), behind.max(ahead));
-    R::ZERO.max(low.min(central)) + R::ZERO.min(high.max(central))
+    // Between 0 and the difference that is nearer to it; of differences of unlike signs no room is left.
+    let most = behind.min(ahead).max(R::ZERO);
+    let least = behind.max(ahead).min(R::ZERO);
+    central.max(least).min(most)
 }
 
 /// Mean value, over a time step, of what crosses the face between `left` and `right`, upwind of

@@ -502,12 +502,15 @@ impl<R: Real, const D: usize> TwoFluid<R, D> {
         let inverse_spacing = self.grid.spacing.map(|h| R::of(1.0 / h));
         let thin = R::of(THIN * self.setup.solids_fraction);
         let room = [self.setup.powder.max_packing + PACKED, LEAST_ROOM].map(R::of);
-        let [solids, gas, filling] = rows.fold(
-            &|row| {
+        let layout = rows.layout();
+        let [solids, gas, filling] = rows.map_reduce::<R, _, 0>(
+            [],
+            &|row, []| {
                 let (us, ug) = (both_faces(&self.solids, row), both_faces(&self.gas, row));
                 let phi: [[&[R]; 3]; D] =
                     per_axis!(D, |a| [-1, 0, 1].map(|n| phi.row(row.near(a, n))));
-                exchange::rates_row(us, ug, phi, thin, room, inverse_spacing)
+                let blocks = layout.blocks(phi[0][1].len());
+                exchange::largest_rates(blocks, us, ug, phi, thin, room, inverse_spacing)
             },
             &|a: [R; 3], b: [R; 3]| std::array::from_fn(|n| a[n].max(b[n])),
         );

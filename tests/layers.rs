@@ -9,7 +9,8 @@ const ALLOWED: &[(&str, &str)] = &[
     ("case", "laws"),
     ("real", ""),
     ("grid", ""),
-    ("field", "grid real"),
+    ("memory", "real"),
+    ("field", "grid memory real"),
     ("rows", "field real"),
     ("stencil", "real"),
     ("poisson", "field grid real rows"),
@@ -77,7 +78,8 @@ const ALLOWED: &[(&str, &str)] = &[
 /// Outside dependencies that only some modules may name.
 const RESERVED: &[(&str, &str)] = &[
     ("rayon", "rows pipeline"),
-    ("unsafe", "rows"),
+    ("unsafe", "rows memory"),
+    ("memmap2", "memory"),
     ("kuva", "figure"),
     ("indicatif", "progress"),
     ("realfft", "spectral"),

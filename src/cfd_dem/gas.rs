@@ -4,6 +4,7 @@ use super::mapping::Mapping;
 use super::{CfdDem, MOST_ITERATIONS, TOLERANCE};
 use crate::field::{Faces, Field, Layout};
 use crate::grid::Grid;
+use crate::poisson::Fast;
 use crate::rows::Rows;
 use crate::stencil::upwind;
 use crate::viscous::{divergence_row, normal_row, pair, pairs, shear_lines, shear_row};
@@ -158,7 +159,8 @@ impl CfdDem {
             rows.each([&mut self.poisson.weights_mut()[axis]], |row, [weights]| {
                 let (lower, upper) = (phi.row(row.near(axis, -1)), phi.row(row));
                 for (i, weight) in weights.iter_mut().enumerate() {
-                    *weight = scale * (1.0 - mean(lower, upper, i)) * mobility.row(row)[i];
+                    let open = 1.0 - mean(lower, upper, i);
+                    *weight = (scale * open * mobility.row(row)[i]) as Fast;
                 }
             });
         }

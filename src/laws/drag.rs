@@ -11,7 +11,18 @@ use crate::real::Real;
 pub trait DragLaw<R: Real>: Send + Sync {
     /// β/φ \[kg/m³/s\] at solids fraction φ and slip speed |u_g - u_s| \[m/s\]; finite at φ → 0 and at
     /// zero slip.
-    fn beta_per_fraction(&self, solids_fraction: R, slip_speed: R) -> R;
+    #[inline(always)]
+    fn beta_per_fraction(&self, solids_fraction: R, slip_speed: R) -> R {
+        let begun = self.begin(solids_fraction, slip_speed);
+        self.finish(solids_fraction, slip_speed, begun)
+    }
+
+    /// The first half of the work on [`DragLaw::beta_per_fraction`], such as logarithms: who has many places
+    /// to find β at does well to begin them all before finishing the first, because each half is long.
+    fn begin(&self, solids_fraction: R, slip_speed: R) -> [R; 2];
+
+    /// The other half: β/φ from what [`DragLaw::begin`] gave for the same fraction and speed.
+    fn finish(&self, solids_fraction: R, slip_speed: R, begun: [R; 2]) -> R;
 
     /// β \[kg/m³/s\].
     #[inline(always)]
@@ -30,6 +41,14 @@ pub trait DragLaw<R: Real>: Send + Sync {
 impl<R: Real, L: DragLaw<R> + ?Sized> DragLaw<R> for Box<L> {
     fn beta_per_fraction(&self, solids_fraction: R, slip_speed: R) -> R {
         (**self).beta_per_fraction(solids_fraction, slip_speed)
+    }
+
+    fn begin(&self, solids_fraction: R, slip_speed: R) -> [R; 2] {
+        (**self).begin(solids_fraction, slip_speed)
+    }
+
+    fn finish(&self, solids_fraction: R, slip_speed: R, begun: [R; 2]) -> R {
+        (**self).finish(solids_fraction, slip_speed, begun)
     }
 
     fn betas(&self, betas: &mut [R], solids_fractions: &[R], slip_speeds: &[R]) {
@@ -79,11 +98,17 @@ impl<L: DragLaw<f64>> SphereDrag for VanDerHoef<L> {
 /// Smallest Reynolds number that a logarithm is taken of; a term in it is below 1e-19 there.
 const SMALLEST_REYNOLDS: f64 = 1e-30;
 
-/// C_D Re of one sphere after Schiller & Naumann (1933): 24 + 3.6 Re^0.687 below Re = 1000,
-/// 0.44 Re above. Finite at rest.
+/// log₂ Re, finite at rest.
 #[inline(always)]
-fn sphere_drag<R: Real>(reynolds: R) -> R {
-    let power = reynolds.max(R::of(SMALLEST_REYNOLDS)).power(R::of(0.687));
+fn log_reynolds<R: Real>(reynolds: R) -> R {
+    reynolds.max(R::of(SMALLEST_REYNOLDS)).log2()
+}
+
+/// C_D Re of one sphere after Schiller & Naumann (1933): 24 + 3.6 Re^0.687 below Re = 1000,
+/// 0.44 Re above; of Re and [`log_reynolds`]. Finite at rest.
+#[inline(always)]
+fn sphere_drag<R: Real>(reynolds: R, logarithm: R) -> R {
+    let power = (R::of(0.687) * logarithm).exp2();
     R::select(reynolds < R::of(1000.0), R::of(24.0) + R::of(3.6) * power, R::of(0.44) * reynolds)
 }
 
@@ -100,6 +125,12 @@ pub struct WenYu<R> {
 }
 
 impl<R: Real> WenYu<R> {
+    /// Re at (1-φ) and |u|.
+    #[inline(always)]
+    fn reynolds(&self, gas_fraction: R, slip_speed: R) -> R {
+        gas_fraction * self.reynolds_per_speed * slip_speed
+    }
+
     /// The law for `powder` in `gas`.
     pub fn new(gas: &Gas, powder: &Powder) -> Self {
         Self {
@@ -111,10 +142,15 @@ impl<R: Real> WenYu<R> {
 
 impl<R: Real> DragLaw<R> for WenYu<R> {
     #[inline(always)]
-    fn beta_per_fraction(&self, solids_fraction: R, slip_speed: R) -> R {
+    fn begin(&self, solids_fraction: R, slip_speed: R) -> [R; 2] {
         let gas_fraction = R::ONE - solids_fraction;
-        let reynolds = gas_fraction * self.reynolds_per_speed * slip_speed;
-        self.stokes * sphere_drag(reynolds) * gas_fraction.power(R::of(-2.65))
+        [log_reynolds(self.reynolds(gas_fraction, slip_speed)), gas_fraction.log2()]
+    }
+
+    #[inline(always)]
+    fn finish(&self, solids_fraction: R, slip_speed: R, [reynolds, gas]: [R; 2]) -> R {
+        let number = self.reynolds(R::ONE - solids_fraction, slip_speed);
+        self.stokes * sphere_drag(number, reynolds) * (R::of(-2.65) * gas).exp2()
     }
 }
 
@@ -145,12 +181,17 @@ impl<R: Real> Gidaspow<R> {
 
 impl<R: Real> DragLaw<R> for Gidaspow<R> {
     #[inline(always)]
-    fn beta_per_fraction(&self, solids_fraction: R, slip_speed: R) -> R {
+    fn begin(&self, solids_fraction: R, slip_speed: R) -> [R; 2] {
+        self.dilute.begin(solids_fraction, slip_speed)
+    }
+
+    #[inline(always)]
+    fn finish(&self, solids_fraction: R, slip_speed: R, begun: [R; 2]) -> R {
         let gas_fraction = R::ONE - solids_fraction;
         R::select(
             gas_fraction < R::of(0.8),
             self.viscous * solids_fraction / gas_fraction + self.inertial * slip_speed,
-            self.dilute.beta_per_fraction(solids_fraction, slip_speed),
+            self.dilute.finish(solids_fraction, slip_speed, begun),
         )
     }
 }
@@ -185,17 +226,22 @@ impl<R: Real> Beetstra<R> {
 
 impl<R: Real> DragLaw<R> for Beetstra<R> {
     #[inline(always)]
-    fn beta_per_fraction(&self, solids_fraction: R, slip_speed: R) -> R {
+    fn begin(&self, solids_fraction: R, slip_speed: R) -> [R; 2] {
+        let reynolds = (R::ONE - solids_fraction) * self.reynolds_per_speed * slip_speed;
+        let onset = (R::of(3.0 * std::f64::consts::LOG2_10) * solids_fraction).exp2();
+        [log_reynolds(reynolds), onset]
+    }
+
+    #[inline(always)]
+    fn finish(&self, solids_fraction: R, slip_speed: R, [logarithm, onset]: [R; 2]) -> R {
         let phi = solids_fraction;
         let gas_fraction = R::ONE - phi;
         let inverse = R::ONE / gas_fraction;
         let reynolds = gas_fraction * self.reynolds_per_speed * slip_speed;
-        let logarithm = reynolds.max(R::of(SMALLEST_REYNOLDS)).log2();
         // The bracket times Re, and the fraction expanded by Re^((1+4φ)/2): finite at rest.
         let bracket = reynolds * (inverse + R::of(3.0) * phi * gas_fraction)
             + R::of(8.4) * (R::of(1.0 - 0.343) * logarithm).exp2();
         let power = ((R::of(0.5) + R::of(2.0) * phi) * logarithm).exp2();
-        let onset = (R::of(3.0 * std::f64::consts::LOG2_10) * phi).exp2();
         let inertial = R::of(0.413 / 24.0) * inverse * inverse * bracket * power / (power + onset);
         let viscous = R::of(10.0) * phi * inverse * inverse
             + gas_fraction * gas_fraction * (R::ONE + R::of(1.5) * phi.sqrt());
@@ -232,14 +278,19 @@ impl<R: Real> Tenneti<R> {
 
 impl<R: Real> DragLaw<R> for Tenneti<R> {
     #[inline(always)]
-    fn beta_per_fraction(&self, solids_fraction: R, slip_speed: R) -> R {
+    fn begin(&self, solids_fraction: R, slip_speed: R) -> [R; 2] {
+        let reynolds = (R::ONE - solids_fraction) * self.reynolds_per_speed * slip_speed;
+        // The floor keeps the root finite in empty cells; its term is 5e-11 there.
+        [log_reynolds(reynolds), solids_fraction.max(R::of(1e-30)).cbrt()]
+    }
+
+    #[inline(always)]
+    fn finish(&self, solids_fraction: R, slip_speed: R, [logarithm, root]: [R; 2]) -> R {
         let phi = solids_fraction;
         let gas_fraction = R::ONE - phi;
         let inverse = R::ONE / gas_fraction;
         let reynolds = gas_fraction * self.reynolds_per_speed * slip_speed;
-        let isolated = R::of(1.0 / 24.0) * sphere_drag(reynolds);
-        // The floor keeps the logarithm finite in empty cells; its term is 5e-11 there.
-        let root = phi.max(R::of(1e-30)).cbrt();
+        let isolated = R::of(1.0 / 24.0) * sphere_drag(reynolds, logarithm);
         let cube = phi * phi * phi;
         // (1-φ)² F.
         let force = inverse * (isolated + R::of(5.81) * phi)

@@ -2,8 +2,9 @@
 //! the pressure.
 
 use super::{GHOST, Medium};
+use crate::poisson::Fast;
 use crate::real::Real;
-use crate::rows::{BLOCK, blocks, by_axis, cut, simd, sum_axes};
+use crate::rows::{BLOCK, by_axis, cut, max_abs, simd, sum_axes};
 
 /// What a face's equations of motion need besides velocities and pressures.
 #[derive(Clone, Copy)]
@@ -88,7 +89,7 @@ simd! {
         us: &mut [R],
         ug: &mut [R],
         flux: &mut [R],
-        response: &mut [R],
+        response: &mut [Fast],
         carried: [&[R]; 2],
         phi: [&[R]; 2],
         drag: [&[R]; 2],
@@ -116,7 +117,7 @@ simd! {
             let velocities = face.velocities(solids, gas);
             (us[i], ug[i]) = velocities;
             flux[i] = face.total(velocities);
-            response[i] = weight * face.total(face.response());
+            response[i] = (weight * face.total(face.response())).f64() as Fast;
         }
     }
 }
@@ -215,70 +216,81 @@ simd! {
     }
 }
 
+/// Largest rates of some cells \[1/s\], of [`rates_row`]; `blocks` says where blocks of them begin and
+/// how many are in each.
+pub(super) fn largest_rates<R: Real, const D: usize>(
+    blocks: impl Iterator<Item = (usize, usize)>,
+    solids: [[&[R]; 2]; D],
+    gas: [[&[R]; 2]; D],
+    phi: [[&[R]; 3]; D],
+    thin: R,
+    packed: [R; 2],
+    inverse_spacing: [R; D],
+) -> [R; 3] {
+    let mut largest = [R::ZERO; 3];
+    let mut rates = [[R::ZERO; BLOCK]; 3];
+    for (begin, m) in blocks {
+        let [fast, carrying, filling] = &mut rates;
+        rates_row(
+            &mut fast[..m],
+            &mut carrying[..m],
+            &mut filling[..m],
+            solids.map(|faces| faces.map(|u| &u[begin..])),
+            gas.map(|faces| faces.map(|u| &u[begin..])),
+            phi.map(|line| line.map(|phi| &phi[begin..])),
+            thin,
+            packed,
+            inverse_spacing,
+        );
+        for (largest, rates) in largest.iter_mut().zip(&rates) {
+            *largest = largest.max(max_abs(&rates[..m]));
+        }
+    }
+    largest
+}
+
 simd! {
-    /// Largest rates of the cells of a row \[1/s\]: Σ_a |u_a| / h_a, each |u_a| the larger of its two
-    /// faces, of the solids where their fraction is above `thin`, and of the gas; and the most of -∇·(φ u_s),
+    /// Rates of the cells of a row \[1/s\]: Σ_a |u_a| / h_a, each |u_a| the larger of its two
+    /// faces, of the solids where their fraction is above `thin`, and of the gas; and -∇·(φ u_s), or 0,
     /// what fills a cell, over the room that is left in it: what it lacks to the fraction `packed`, at least
     /// `least`. `phi` is below, here and above along each axis.
-    pub(super) fn rates_row[R: Real, const D: usize](
+    fn rates_row[R: Real, const D: usize](
+        fast: &mut [R],
+        carrying: &mut [R],
+        filling: &mut [R],
         solids: [[&[R]; 2]; D],
         gas: [[&[R]; 2]; D],
         phi: [[&[R]; 3]; D],
         thin: R,
         packed: [R; 2],
         inverse_spacing: [R; D],
-    ) -> [R; 3] {
-        let n = phi[0][1].len();
+    ) {
+        let n = fast.len();
+        let (carrying, filling) = (&mut carrying[..n], &mut filling[..n]);
         let (solids, gas, phi) = (by_axis(solids, n), by_axis(gas, n), by_axis(phi, n));
         let here = phi[0][1];
         let [packed, least] = packed;
         let half = R::of(0.5);
-        let mut largest = [R::ZERO; 3];
-        let mut rates = [[R::ZERO; BLOCK]; 3];
-        // Maps vectorise, and maxima of what is mapped do.
-        for at in blocks(n) {
-            let count = at.len();
-            let [fast, carrying, filling] = &mut rates;
-            for (lane, i) in at.enumerate() {
-                let rate = sum_axes!(D, solids, |[lower, upper], a| {
-                    inverse_spacing[a] * lower[i].abs().max(upper[i].abs())
-                });
-                fast[lane] = R::select(here[i] > thin, rate, R::ZERO);
-                carrying[lane] = sum_axes!(D, gas, |[lower, upper], a| {
-                    inverse_spacing[a] * lower[i].abs().max(upper[i].abs())
-                });
-                // What limited slopes may make of what flows in; what flows out is a mean.
-                let inflow = sum_axes!(D, solids, |[lower, upper], a| {
-                    let [below, here, above] = phi[a];
-                    let (below, here, above) = (below[i], here[i], above[i]);
-                    let (up, down) = (lower[i].max(R::ZERO), -upper[i].min(R::ZERO));
-                    let (from, to) = (lower[i].min(R::ZERO), -upper[i].max(R::ZERO));
-                    inverse_spacing[a]
-                        * (up * below.max(here)
-                            + down * above.max(here)
-                            + half * (from * (below + here) + to * (here + above)))
-                });
-                filling[lane] = inflow / (packed - here[i]).max(least);
-            }
-            for (largest, rates) in largest.iter_mut().zip(&rates) {
-                *largest = largest.max(max_of(&rates[..count]));
-            }
+        for i in 0..n {
+            let rate = sum_axes!(D, solids, |[lower, upper], a| {
+                inverse_spacing[a] * lower[i].abs().max(upper[i].abs())
+            });
+            fast[i] = R::select(here[i] > thin, rate, R::ZERO);
+            carrying[i] = sum_axes!(D, gas, |[lower, upper], a| {
+                inverse_spacing[a] * lower[i].abs().max(upper[i].abs())
+            });
+            // What limited slopes may make of what flows in; what flows out is a mean.
+            let inflow = sum_axes!(D, solids, |[lower, upper], a| {
+                let [below, here, above] = phi[a];
+                let (below, here, above) = (below[i], here[i], above[i]);
+                let (up, down) = (lower[i].max(R::ZERO), -upper[i].min(R::ZERO));
+                let (from, to) = (lower[i].min(R::ZERO), -upper[i].max(R::ZERO));
+                inverse_spacing[a]
+                    * (up * below.max(here)
+                        + down * above.max(here)
+                        + half * (from * (below + here) + to * (here + above)))
+            });
+            filling[i] = (inflow / (packed - here[i]).max(least)).max(R::ZERO);
         }
-        largest
-    }
-}
-
-simd! {
-    /// Largest of some numbers, or 0.
-    fn max_of[R: Real](a: &[R]) -> R {
-        const LANES: usize = 16;
-        let mut lanes = [R::ZERO; LANES];
-        let whole = a.len() - a.len() % LANES;
-        for a in a[..whole].chunks_exact(LANES) {
-            for lane in 0..LANES {
-                lanes[lane] = lanes[lane].max(a[lane]);
-            }
-        }
-        a[whole..].iter().fold(lanes.into_iter().fold(R::ZERO, R::max), |m, &a| m.max(a))
     }
 }

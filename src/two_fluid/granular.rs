@@ -23,8 +23,18 @@ simd! {
     fn drag_row[R: Real, L: DragLaw<R>](out: &mut [R], phi: &[R], slip_squared: &[R], law: L) {
         let n = out.len();
         let (phi, slip_squared) = (&phi[..n], &slip_squared[..n]);
-        for i in 0..n {
-            out[i] = law.beta_per_fraction(phi[i], slip_squared[i].sqrt());
+        let [mut first, mut second] = [[R::ZERO; BLOCK]; 2];
+        for (begin, m) in blocks(n) {
+            let (phi, slip_squared) = (&phi[begin..][..m], &slip_squared[begin..][..m]);
+            let (out, first, second) =
+                (&mut out[begin..][..m], &mut first[..m], &mut second[..m]);
+            for i in 0..m {
+                out[i] = slip_squared[i].sqrt();
+                [first[i], second[i]] = law.begin(phi[i], out[i]);
+            }
+            for i in 0..m {
+                out[i] = law.finish(phi[i], out[i], [first[i], second[i]]);
+            }
         }
     }
 }
@@ -330,18 +340,21 @@ simd! {
         let theory = medium.theory;
         let density = medium.solids_density;
         let [cap, nearly_empty] = bounds;
-        let mut inverse = [R::ZERO; BLOCK];
-        for at in blocks(n) {
-            let inverse = &mut inverse[..at.len()];
-            let (phi, theta, drag) = (&phi[at.clone()], &theta[at.clone()], &drag[at.clone()]);
-            let (slip, g0) = (&mut slip[at.clone()], &mut g0[at.clone()]);
-            let (viscosity, bulk) = (&mut viscosity[at.clone()], &mut bulk[at.clone()]);
+        let [mut inverse, mut lightness] = [[R::ZERO; BLOCK]; 2];
+        for (begin, m) in blocks(n) {
+            let (inverse, lightness) = (&mut inverse[..m], &mut lightness[..m]);
+            let (phi, theta) = (&phi[begin..][..m], &theta[begin..][..m]);
+            let drag = &drag[begin..][..m];
+            let (slip, g0) = (&mut slip[begin..][..m], &mut g0[begin..][..m]);
+            let (viscosity, bulk) = (&mut viscosity[begin..][..m], &mut bulk[begin..][..m]);
             let (conductivity, diffusivity) =
-                (&mut conductivity[at.clone()], &mut diffusivity[at]);
-            for ((g0, inverse), phi) in g0.iter_mut().zip(inverse.iter_mut()).zip(phi) {
-                [*g0, *inverse] = radial.contact_and_inverse(*phi);
+                (&mut conductivity[begin..][..m], &mut diffusivity[begin..][..m]);
+            for i in 0..m {
+                [g0[i], inverse[i]] = radial.contact_and_inverse(phi[i]);
+                // Here, because the divider is busy below.
+                lightness[i] = R::ONE / (density * (phi[i] + R::of(GHOST)));
             }
-            for i in 0..phi.len() {
+            for i in 0..m {
                 let contact = [g0[i], inverse[i]];
                 let transport = theory.transport_of_contact(phi[i], contact, theta[i], drag[i]);
                 let mass = density * (phi[i] + R::of(GHOST));
@@ -354,7 +367,7 @@ simd! {
                     conductivity[i] = transport.conductivity.min(bound);
                     most = transport.most_diffusive();
                 }
-                diffusivity[i] = R::select(phi[i] > nearly_empty, most / mass, R::ZERO);
+                diffusivity[i] = R::select(phi[i] > nearly_empty, most * lightness[i], R::ZERO);
             }
         }
     }
@@ -384,7 +397,8 @@ simd! {
         let (divergence, phi) = (&mut divergence[..n], &phi[..n]);
         let (work, heat) = (by_axis(work, n), by_axis(heat, n));
         let [ab, ac, bc] = [cut(edges[0], n), cut(edges[1], n), cut(edges[2], n)];
-        let (half, two, tiny) = (R::of(0.5), R::of(2.0), R::of(1e-30));
+        // Of conductivities below it nothing is left; its square is still a normal number.
+        let (half, two, tiny) = (R::of(0.5), R::of(2.0), R::of(1e-18));
         for i in 0..n {
             divergence[i] = sum_axes!(D, work, |[_, _, _, lower, upper], a| {
                 inverse_spacing[a] * (upper[i] - lower[i])
@@ -395,11 +409,13 @@ simd! {
             });
             if CONDUCTS {
                 volume += sum_axes!(D, heat, |[k0, k1, k2, t0, t1, t2], a| {
-                    // Harmonic means: a nearly empty cell does not conduct into a dense one.
+                    // Harmonic means, both with one division: a nearly empty cell does not conduct
+                    // into a dense one.
                     let (k0, k1, k2) = (k0[i], k1[i], k2[i]);
-                    let lower = two * k0 * k1 / (k0 + k1 + tiny) * (t1[i] - t0[i]);
-                    let upper = two * k1 * k2 / (k1 + k2 + tiny) * (t2[i] - t1[i]);
-                    inverse_spacing[a] * inverse_spacing[a] * (upper - lower)
+                    let (below, above) = (k0 + k1 + tiny, k1 + k2 + tiny);
+                    let lower = k0 * above * (t1[i] - t0[i]);
+                    let upper = k2 * below * (t2[i] - t1[i]);
+                    two * inverse_spacing[a] * inverse_spacing[a] * k1 * (upper - lower) / (below * above)
                 });
             }
             let mut shear = ab[0][i] + ab[1][i] + ab[2][i] + ab[3][i];
@@ -462,13 +478,13 @@ simd! {
         let stiffest = cells.cell_squared / (dt * dt);
         let (density, two_thirds) = (cells.solids_density, R::of(2.0 / 3.0));
         let [mut collisional, mut cubic, mut linear, mut speed] = [[R::ZERO; BLOCK]; 4];
-        for at in blocks(n) {
-            let m = at.len();
-            let (phi, theta, g0) = (&phi[at.clone()], &theta[at.clone()], &g0[at.clone()]);
-            let (drag, slip) = (&drag[at.clone()], &slip[at.clone()]);
-            let (divergence, viscosity) = (&divergence[at.clone()], &viscosity[at.clone()]);
-            let (theta_new, pressure) = (&mut theta_new[at.clone()], &mut pressure[at.clone()]);
-            let sound = &mut sound[at];
+        for (begin, m) in blocks(n) {
+            let (phi, theta) = (&phi[begin..][..m], &theta[begin..][..m]);
+            let (g0, drag) = (&g0[begin..][..m], &drag[begin..][..m]);
+            let (slip, divergence) = (&slip[begin..][..m], &divergence[begin..][..m]);
+            let viscosity = &viscosity[begin..][..m];
+            let (theta_new, pressure) = (&mut theta_new[begin..][..m], &mut pressure[begin..][..m]);
+            let sound = &mut sound[begin..][..m];
             let collisional = &mut collisional[..m];
             let (cubic, linear, speed) = (&mut cubic[..m], &mut linear[..m], &mut speed[..m]);
             for i in 0..m {
@@ -511,13 +527,16 @@ simd! {
                 let (contacts, stiffness) = friction.pressure(phi[i]);
                 // What has become too stiff for a step of this length pushes as if it were not: more would
                 // fling back what hits a packed bed. The next step is as short as the sound asks for.
-                let contacts = contacts * stiffest / stiffness.max(stiffest);
+                let stiff = stiffness.max(stiffest);
+                // Dissipation is implicit, so of the heat of compression a step keeps only one part in this.
+                let damping = theory.viscous_dissipation(drag[i]);
+                let kept = R::ONE + dt * (collisional[i] * speed[i] + two_thirds * damping);
+                // Both quotients with one division.
+                let inverse = R::ONE / (stiff * kept);
+                let contacts = contacts * stiffest * (kept * inverse);
                 pressure[i] = theory.pressure(phi[i], g0[i], warm) + contacts;
                 let slope = radial.slope(phi[i], g0[i]);
-                // Dissipation is implicit, so of the heat of compression a step keeps only this.
-                let damping = theory.viscous_dissipation(drag[i]);
-                let loss = dt * (collisional[i] * speed[i] + two_thirds * damping);
-                let adiabatic = R::ONE / (R::ONE + loss);
+                let adiabatic = stiff * inverse;
                 sound[i] =
                     theory.sound_speed_squared(phi[i], g0[i], slope, warm, adiabatic) + stiffness;
             }

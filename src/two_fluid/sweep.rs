@@ -7,18 +7,20 @@
 //!
 //! A [`Sweep`] makes the slabs of one part of the box. Near its ends it makes again what its
 //! neighbours make too, so parts need nothing of each other, and how many there are changes no bit
-//! of a result.
+//! of a result. A part that is the whole box has itself as its neighbour: it keeps the first slabs that each
+//! stage makes until the sweep has come around to them, and makes nothing twice.
 
 use super::exchange::{self, Inertia};
 use super::granular::{self, Balanced, Conducts};
 use super::imposed::Sources;
 use super::stress::{self, around, pair, pairs, shear_lines};
-use super::transport::{self, Line, Share, Wanted};
+use super::transport::{self, Crossing, Line, Share, Wanted};
 use super::{MOST_GAS_STEPS, Medium, Setup};
 use crate::case::GranularEnergyChoice;
-use crate::field::{Faces, Field, Layout, Lines, Ring, Row, Slabs, fill};
+use crate::field::{Faces, Field, Layout, Lines, Ring, Row, Slabs, cells_of, fill};
+use crate::poisson::Fast;
 use crate::real::Real;
-use crate::rows::{max_abs, per_axis};
+use crate::rows::per_axis;
 
 /// What a sweep reads.
 pub(super) struct Before<'a, R, const D: usize> {
@@ -60,7 +62,7 @@ pub(super) struct After<'a, R, const D: usize> {
     /// β/φ \[kg/m³/s\].
     pub(super) drag: Slabs<'a, R, D>,
     /// Response of the total volume flux to the pressure, over h².
-    pub(super) weights: [Slabs<'a, R, D>; D],
+    pub(super) weights: [Slabs<'a, Fast, D>; D],
     /// -∇· of the total volume flux \[1/s\].
     pub(super) right: Slabs<'a, R, D>,
 }
@@ -71,14 +73,8 @@ impl<R: Real, const D: usize> After<'_, R, D> {
         let Self { phi, theta, solids, gas, drag, weights, right } = self;
         let (phi, theta) = (phi.split_at(slab), theta.split_at(slab));
         let (drag, right) = (drag.split_at(slab), right.split_at(slab));
-        let [solids, gas, weights] = [solids, gas, weights].map(|faces| {
-            let mut parts = faces.map(|face| {
-                let (below, above) = face.split_at(slab);
-                (Some(below), Some(above))
-            });
-            let lower = parts.each_mut().map(|part| part.0.take().expect("taken once"));
-            (lower, parts.map(|part| part.1.expect("taken once")))
-        });
+        let (solids, gas) = (split_faces(solids, slab), split_faces(gas, slab));
+        let weights = split_faces(weights, slab);
         (
             Self {
                 phi: phi.0,
@@ -100,6 +96,19 @@ impl<R: Real, const D: usize> After<'_, R, D> {
             },
         )
     }
+}
+
+/// What of each axis belongs to the slabs before `slab`, and to those from it on.
+fn split_faces<R: Real, const D: usize>(
+    faces: [Slabs<'_, R, D>; D],
+    slab: usize,
+) -> ([Slabs<'_, R, D>; D], [Slabs<'_, R, D>; D]) {
+    let mut parts = faces.map(|face| {
+        let (below, above) = face.split_at(slab);
+        (Some(below), Some(above))
+    });
+    let lower = parts.each_mut().map(|part| part.0.take().expect("taken once"));
+    (lower, parts.map(|part| part.1.expect("taken once")))
 }
 
 /// The largest of a part of the box: what the next time step must respect.
@@ -135,6 +144,8 @@ impl<R: Real> Fastest<R> {
 pub(super) struct Sweep<R, const D: usize> {
     /// The first slab and the one after the last.
     slabs: [usize; 2],
+    /// Whether they are all that there are, so that after the last comes the first.
+    closed: bool,
     /// As [`transport::most_row`] has it.
     most: Ring<R, D>,
     solids_flux: [Ring<R, D>; D],
@@ -142,10 +153,12 @@ pub(super) struct Sweep<R, const D: usize> {
     heat_flux: [Ring<R, D>; D],
     phi: Ring<R, D>,
     theta: Ring<R, D>,
-    /// Momentum carried within a slab, along the axes before the last.
-    carried_within: Vec<Ring<R, D>>,
-    /// Momentum carried between slabs: of the solids, then of each sub-step of the gas.
-    carried_on: Vec<[Ring<R, D>; D]>,
+    /// Momentum carried along the first axis, of a row.
+    carried_within: Vec<R>,
+    /// Momentum carried along the second axis, if it is not the last.
+    carried_along: Ring<R, D>,
+    /// Momentum carried into even and odd slabs from below: of the solids, then of each sub-step of the gas.
+    carried_on: Vec<[[Ring<R, D>; 2]; D]>,
     /// Velocity of the solids after their momentum was carried, and of the gas after each sub-step,
     /// or where its momentum stayed.
     solids: [Ring<R, D>; D],
@@ -172,6 +185,7 @@ pub(super) struct Sweep<R, const D: usize> {
     limit: Ring<R, D>,
     /// Where rows of other parts go.
     spare: Vec<Vec<R>>,
+    spare_weights: Vec<Fast>,
     /// τ_aa and τ_ab of the gas, as those of the solids, where its stress is asked for \[Pa\].
     gas_normal: [Ring<R, D>; D],
     gas_shear: Vec<Ring<R, D>>,
@@ -190,43 +204,59 @@ impl<R: Real, const D: usize> Sweep<R, D> {
     /// of the steps' `setup`.
     pub(super) fn new(layout: Layout<D>, setup: &Setup, begin: usize, end: usize) -> Self {
         let terms = setup.terms;
-        let ring = |slabs| Ring::new(layout, slabs);
-        let rings = |slabs| std::array::from_fn(|_| Ring::new(layout, slabs));
-        let several = |n, slabs| (0..n).map(|_| Ring::new(layout, slabs)).collect();
         let pairs = D * (D - 1) / 2;
         let transports_heat = terms.granular_energy == GranularEnergyChoice::Transport;
         let most_gas_steps = if terms.gas_inertia { MOST_GAS_STEPS } else { 0 };
-        // The lengths follow from how far apart in the sweep a slab is made and last looked at; see
-        // `run`.
+        let closed = end - begin == layout.cells[D - 1];
+        // The slabs of a ring follow from how far apart in the sweep one is made and last looked at; how many
+        // it keeps, from how much further below the part it is first made than last looked at, and how
+        // far above that look is; see `run`. With friction all before the closures is first made one
+        // further below.
+        let most = 2 * most_gas_steps.max(1);
+        let ring = |slabs, kept: usize| {
+            let kept = if closed { kept.min(layout.cells[D - 1]) } else { 0 };
+            Ring::new(layout, slabs).with_kept(kept)
+        };
+        let rings = |slabs, kept| std::array::from_fn(|_| ring(slabs, kept));
+        let several = |n, slabs, kept| (0..n).map(|_| ring(slabs, kept)).collect();
+        // What is used only if asked for is no longer than it must be.
+        let if_any =
+            |any: bool, slabs, kept| rings(if any { slabs } else { 1 }, if any { kept } else { 0 });
+        let inertia = terms.gas_inertia;
         Self {
             slabs: [begin, end],
-            most: ring(2),
-            solids_flux: rings(16),
-            gas_flux: rings(if terms.gas_inertia { 16 } else { 1 }),
-            heat_flux: rings(if transports_heat { 2 } else { 1 }),
-            phi: ring(16),
-            theta: ring(if transports_heat { 16 } else { 1 }),
-            carried_within: several(D - 1, 1),
-            carried_on: (0..=most_gas_steps).map(|_| rings(2)).collect(),
-            solids: rings(4),
-            gas: (0..most_gas_steps.max(1)).map(|_| rings(4)).collect(),
-            slip_production: ring(4),
-            drag: ring(4),
-            radial_distribution: ring(4),
-            viscosity: ring(4),
-            bulk_viscosity: ring(4),
-            strain: ring(1),
-            conductivity: ring(if transports_heat { 4 } else { 1 }),
-            normal: rings(4),
-            shear: several(pairs, 2),
-            shear_heating: several(pairs, 2),
-            sheared: rings(2),
-            solids_pressure: ring(2),
-            total: rings(2),
-            limit: ring(1),
-            spare: vec![vec![R::ZERO; layout.most_elements()]; 3],
-            gas_normal: rings(if terms.gas_stress { 4 } else { 1 }),
-            gas_shear: several(pairs, if terms.gas_stress { 2 } else { 1 }),
+            closed,
+            most: ring(2, 2),
+            solids_flux: rings(16, most + 1),
+            gas_flux: if_any(inertia, 16, most + 1),
+            heat_flux: if_any(transports_heat, 2, 2),
+            phi: ring(16, most + 4),
+            theta: if transports_heat { ring(16, most + 4) } else { ring(1, 0) },
+            carried_within: vec![R::ZERO; layout.most_elements() + 1],
+            carried_along: ring(1, 0),
+            carried_on: (0..=most_gas_steps)
+                .map(|_| std::array::from_fn(|_| std::array::from_fn(|_| ring(1, 0))))
+                .collect(),
+            solids: rings(4, 5),
+            gas: (0..most_gas_steps.max(1)).map(|_| rings(4, 4)).collect(),
+            slip_production: ring(4, 3),
+            drag: ring(4, 4),
+            radial_distribution: ring(4, 3),
+            viscosity: ring(4, 4),
+            bulk_viscosity: ring(4, 0),
+            strain: ring(1, 0),
+            conductivity: if transports_heat { ring(4, 4) } else { ring(1, 0) },
+            normal: rings(4, 3),
+            shear: several(pairs, 2, 2),
+            shear_heating: several(pairs, 2, 2),
+            sheared: rings(2, 3),
+            solids_pressure: ring(2, 2),
+            total: rings(2, 2),
+            limit: ring(1, 0),
+            spare: vec![vec![R::ZERO; layout.most_elements()]; 2],
+            spare_weights: vec![0.0; layout.most_elements()],
+            gas_normal: if_any(terms.gas_stress, 4, 3),
+            gas_shear: if terms.gas_stress { several(pairs, 2, 3) } else { several(pairs, 1, 0) },
             gas_viscosities: [setup.gas.viscosity, 0.0].map(|viscosity| {
                 vec![R::of(viscosity); if terms.gas_stress { layout.most_elements() } else { 0 }]
             }),
@@ -250,70 +280,138 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         after: &mut After<'_, R, D>,
     ) -> Fastest<R> {
         let [begin, end] = self.slabs.map(|slab| slab as isize);
+        let closed = self.closed;
         let m = before.last_gas_step() as isize + 1;
         // Friction looks at the velocity of the solids a slab further below.
         let reach = isize::from(before.medium.contact.rubs());
         let mut fastest = Fastest::<R>::NONE;
         // At time `now` each stage makes the slab that lies as far behind as its inputs ask for, if
         // that slab is within what the later stages look at: `below` slabs before the part and
-        // `above` after it.
+        // `above` after it. If after the part comes its beginning, the stage makes as many as there are and
+        // for those above them brings back the first ones that it made.
         for now in begin - 2 * m - 3 - reach..end + 2 * m + 3 {
-            let due = |behind: isize, below: isize, above: isize| {
-                let slab = now - behind;
-                (begin - below..end + above).contains(&slab).then_some(slab)
-            };
-            if let Some(slab) = due(0, 2 * m + 3 + reach, 2 * m + 3) {
-                self.most(before, slab);
+            // How far behind, `below`, `above`, what to do with the slab that is due, and what that makes.
+            macro_rules! stage {
+                ($behind:expr, $below:expr, $above:expr, |$slab:ident| $make:expr $(, $made:expr)*) => {{
+                    let ($slab, below, above) = (now - $behind, $below, $above);
+                    let (first, last) = (begin - below, if closed { end - below } else { end + above });
+                    // What looks furthest at what is made below the part is made from the part's first
+                    // slab on, and looks no further than one slab above: that many are kept, and one.
+                    if $slab >= first && $slab < last {
+                        $make;
+                        $(if closed && $slab - first <= below {
+                            for ring in $made {
+                                ring.keep($slab, ($slab - first) as usize);
+                            }
+                        })*
+                    }
+                    $(if closed && $slab >= last && $slab - last <= below {
+                        for ring in $made {
+                            ring.bring_back($slab, (($slab - last) % (end - begin)) as usize);
+                        }
+                    })*
+                }};
             }
-            if let Some(slab) = due(0, 2 * m + 2 + reach, 2 * m + 3) {
-                self.fluxes(before, slab);
+            // What is carried into the first slab is made with the one before it.
+            macro_rules! first_carried {
+                ($behind:expr, $below:expr, |$slab:ident| $make:expr) => {
+                    let $slab = now - $behind;
+                    if $slab == begin - $below - 1 {
+                        $make;
+                    }
+                };
             }
-            if let Some(slab) = due(1, 2 * m + 2 + reach, 2 * m + 2) {
-                self.advect(before, after, slab);
-            }
-            if before.gas_steps == 0
-                && let Some(slab) = due(1, 3, 4)
-            {
-                self.gas_stays(before, slab);
+            stage!(
+                0,
+                2 * m + 3 + reach,
+                2 * m + 3,
+                |slab| self.most(before, slab),
+                [&mut self.most]
+            );
+            stage!(
+                0,
+                2 * m + 2 + reach,
+                2 * m + 3,
+                |slab| self.fluxes(before, slab),
+                &mut self.solids_flux,
+                &mut self.gas_flux,
+                &mut self.heat_flux
+            );
+            stage!(
+                1,
+                2 * m + 2 + reach,
+                2 * m + 2,
+                |slab| self.advect(before, after, slab),
+                [&mut self.phi, &mut self.theta]
+            );
+            if before.gas_steps == 0 {
+                stage!(1, 3, 4, |slab| self.gas_stays(before, slab), &mut self.gas[0]);
             }
             for n in 0..before.gas_steps {
                 let left = 2 * (m - 1 - n as isize);
-                if let Some(slab) = due(2 * n as isize + 1, 4 + left, 4 + left) {
-                    self.gas_momentum(before, n, slab, slab == begin - 4 - left);
-                }
+                let behind = 2 * n as isize + 1;
+                first_carried!(behind, 3 + left, |slab| self.gas_momentum(before, n, slab, true));
+                stage!(
+                    behind,
+                    3 + left,
+                    4 + left,
+                    |slab| self.gas_momentum(before, n, slab, false),
+                    &mut self.gas[n]
+                );
             }
-            if let Some(slab) = due(2 * m - 1, 4 + reach, 4) {
-                self.solids_momentum(before, slab, slab == begin - 4 - reach);
+            first_carried!(2 * m - 1, 3 + reach, |slab| self.solids_momentum(before, slab, true));
+            stage!(
+                2 * m - 1,
+                3 + reach,
+                4,
+                |slab| self.solids_momentum(before, slab, false),
+                &mut self.solids
+            );
+            stage!(
+                2 * m,
+                3,
+                3,
+                |slab| {
+                    let diffusivity = self.closures(before, after, slab);
+                    fastest.diffusivity = fastest.diffusivity.max(diffusivity);
+                    self.normal_stress(before, slab);
+                },
+                [&mut self.slip_production, &mut self.drag, &mut self.radial_distribution],
+                [&mut self.viscosity, &mut self.conductivity],
+                &mut self.normal
+            );
+            stage!(2 * m, 2, 3, |slab| self.shear_stress(before, slab), &mut self.shear);
+            stage!(2 * m + 1, 2, 2, |slab| self.shear(before, slab), &mut self.sheared);
+            // The edges above the lowest slab's lower faces are the first with both sides made.
+            stage!(
+                2 * m + 1,
+                1,
+                2,
+                |slab| self.shear_heating(before, slab),
+                &mut self.shear_heating
+            );
+            if before.gas_stress {
+                stage!(
+                    2 * m + 1,
+                    1,
+                    2,
+                    |slab| self.gas_stress(before, slab),
+                    &mut self.gas_normal,
+                    &mut self.gas_shear
+                );
             }
-            if let Some(slab) = due(2 * m, 3, 3) {
-                fastest.diffusivity = fastest.diffusivity.max(self.closures(before, after, slab));
-                self.normal_stress(before, slab);
-            }
-            if let Some(slab) = due(2 * m, 2, 3) {
-                self.shear_stress(before, slab);
-            }
-            if let Some(slab) = due(2 * m + 1, 2, 2) {
-                self.shear(before, slab);
-                // The edges above the lowest slab's lower faces are the first with both sides made.
-                if slab >= begin - 1 {
-                    self.shear_heating(before, slab);
-                }
-            }
-            if before.gas_stress
-                && let Some(slab) = due(2 * m + 1, 1, 2)
-            {
-                self.gas_stress(before, slab);
-            }
-            if let Some(slab) = due(2 * m + 2, 1, 1) {
-                fastest.sound_squared =
-                    fastest.sound_squared.max(self.granular_energy(before, after, slab));
-                if slab >= begin {
-                    self.forces(before, after, slab);
-                }
-            }
-            if let Some(slab) = due(2 * m + 3, 0, 0) {
-                self.convergence(before, after, slab);
-            }
+            stage!(
+                2 * m + 2,
+                1,
+                1,
+                |slab| {
+                    let sound_squared = self.granular_energy(before, after, slab);
+                    fastest.sound_squared = fastest.sound_squared.max(sound_squared);
+                },
+                [&mut self.solids_pressure]
+            );
+            stage!(2 * m + 2, 0, 1, |slab| self.forces(before, after, slab), &mut self.total);
+            stage!(2 * m + 3, 0, 0, |slab| self.convergence(before, after, slab));
         }
         fastest
     }
@@ -398,17 +496,17 @@ impl<R: Real, const D: usize> Sweep<R, D> {
 
     /// Momentum of the solids by their fluxes.
     fn solids_momentum(&mut self, before: &Before<'_, R, D>, slab: isize, before_first: bool) {
-        let Self { carried_within, carried_on, solids_flux, solids, phi, .. } = self;
-        let within = carried_within.as_mut_slice();
+        let Self { carried_within, carried_along, carried_on, solids_flux, solids, phi, .. } = self;
         let momentum = Momentum {
-            layout: before.layout,
             velocity: before.solids,
             flux: solids_flux,
-            fractions: [before.phi as &dyn Lines<R, D>, phi],
+            fractions: (before.phi, phi),
             shares: Share::solids(),
             courant: before.courant,
         };
-        momentum.carry(before, within, &mut carried_on[0], solids, slab, before_first);
+        let on = &mut carried_on[0];
+        let carried = Carried { within: carried_within, along: carried_along, on };
+        momentum.carry(before, carried, solids, slab, before_first);
     }
 
     /// Momentum of a gas that carries none along.
@@ -436,35 +534,20 @@ impl<R: Real, const D: usize> Sweep<R, D> {
         slab: isize,
         before_first: bool,
     ) {
-        let Self { carried_within, carried_on, gas_flux, gas, phi, .. } = self;
-        let within = carried_within.as_mut_slice();
+        let Self { carried_within, carried_along, carried_on, gas_flux, gas, phi, .. } = self;
         let part = 1.0 / before.gas_steps as f64;
-        let fractions = [before.phi as &dyn Lines<R, D>, phi];
+        let fractions = (before.phi, &*phi);
         let shares = [Share::gas(n as f64 * part), Share::gas((n + 1) as f64 * part)];
         let courant = before.courant.map(|c| c * R::of(part));
         let on = &mut carried_on[1 + n];
+        let carried = Carried { within: carried_within, along: carried_along, on };
         let (done, to_do) = gas.split_at_mut(n);
-        let layout = before.layout;
+        let new = &mut to_do[0];
         match done.last() {
-            None => Momentum {
-                layout,
-                velocity: before.gas,
-                flux: gas_flux,
-                fractions,
-                shares,
-                courant,
-            }
-            .carry(before, within, on, &mut to_do[0], slab, before_first),
-            Some(velocity) => {
-                Momentum { layout, velocity, flux: gas_flux, fractions, shares, courant }.carry(
-                    before,
-                    within,
-                    on,
-                    &mut to_do[0],
-                    slab,
-                    before_first,
-                )
-            }
+            None => Momentum { velocity: before.gas, flux: gas_flux, fractions, shares, courant }
+                .carry(before, carried, new, slab, before_first),
+            Some(velocity) => Momentum { velocity, flux: gas_flux, fractions, shares, courant }
+                .carry(before, carried, new, slab, before_first),
         }
     }
 
@@ -503,7 +586,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     let outputs = [slip, g0, viscosity, bulk, conductivity, &mut *diffusivity];
                     let conducts = before.transports_heat;
                     medium.contact.kinetic(outputs, medium, phi, theta, drag, bounds, conducts);
-                    largest(before.layout, diffusivity)
+                    before.layout.largest(diffusivity)
                 }
             );
             fastest = fastest.max(most);
@@ -720,7 +803,7 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     };
                     let outputs = [theta, pressure, &mut *sound];
                     medium.contact.balance(outputs, medium.theory, &cells);
-                    largest(before.layout, sound)
+                    before.layout.largest(sound)
                 }
             );
             fastest = fastest.max(most);
@@ -761,7 +844,8 @@ impl<R: Real, const D: usize> Sweep<R, D> {
                     sources.push(&mut self.pushed, velocities, axis, row, before.dt);
                     velocities = self.pushed.each_ref().map(Vec::as_slice);
                 }
-                let [us, ug, weights] = self.spare.first_chunk_mut().expect("three spare rows");
+                let [us, ug] = self.spare.first_chunk_mut().expect("two spare rows");
+                let weights = &mut self.spare_weights;
                 fill!(
                     before.layout,
                     [
@@ -822,11 +906,6 @@ impl<R: Real, const D: usize> Before<'_, R, D> {
     }
 }
 
-/// The largest absolute value of rows.
-fn largest<R: Real, const D: usize>(layout: Layout<D>, cells: &[R]) -> R {
-    layout.each(cells).map(max_abs).fold(R::ZERO, R::max)
-}
-
 /// The lower and upper faces of a row of cells along each axis.
 #[inline(always)]
 pub(super) fn both_faces<R: Real, const D: usize>(
@@ -836,13 +915,20 @@ pub(super) fn both_faces<R: Real, const D: usize>(
     per_axis!(D, |a| [faces[a].row(row), faces[a].row(row.near(a, 1))])
 }
 
+/// Room for what is carried along the first axis of a row, along the second of a slab, and into even and
+/// odd slabs from below.
+struct Carried<'a, R, const D: usize> {
+    within: &'a mut [R],
+    along: &'a mut Ring<R, D>,
+    on: &'a mut [[Ring<R, D>; 2]; D],
+}
+
 /// Momentum of one phase and what carries it.
 struct Momentum<'a, R, L, const D: usize> {
-    layout: Layout<D>,
     velocity: &'a [L; D],
     flux: &'a [Ring<R, D>; D],
     /// φ before and after.
-    fractions: [&'a dyn Lines<R, D>; 2],
+    fractions: (&'a Field<R, D>, &'a Ring<R, D>),
     shares: [Share<R>; 2],
     courant: [R; D],
 }
@@ -853,58 +939,70 @@ impl<R: Real, L: Lines<R, D>, const D: usize> Momentum<'_, R, L, D> {
     fn carry(
         &self,
         before: &Before<'_, R, D>,
-        within: &mut [Ring<R, D>],
-        on: &mut [Ring<R, D>; D],
+        Carried { within, along, on }: Carried<'_, R, D>,
         new: &mut [Ring<R, D>; D],
         slab: isize,
         before_first: bool,
     ) {
         for component in 0..D {
-            for row in before.rows(slab) {
-                let above = row.near(D - 1, 1);
-                self.across(&mut on[component], component, D - 1, above);
-                if !before_first {
-                    for (axis, carried) in within.iter_mut().enumerate() {
-                        self.across(carried, component, axis, row);
-                    }
-                }
-            }
+            let [even, odd] = &mut on[component];
+            let (below, above) = if slab % 2 == 0 { (even, odd) } else { (odd, even) };
             if before_first {
+                for row in before.rows(slab) {
+                    let upper = row.near(D - 1, 1);
+                    let out = cells_of(above.line(upper));
+                    transport::carry_row(out, &self.crossing(component, D - 1, upper));
+                }
                 continue;
             }
-            let on = &on[component];
+            if D == 3 {
+                for row in before.rows(slab) {
+                    let out = cells_of(along.line(row));
+                    transport::carry_row(out, &self.crossing(component, 1, row));
+                }
+            }
             for row in before.rows(slab) {
-                let carried: [[&[R]; 2]; D] = per_axis!(D, |axis| {
-                    let carried = if axis + 1 == D { on } else { &within[axis] };
-                    [carried.row(row), carried.row(row.near(axis, 1))]
-                });
-                let [old, after] = self.fractions;
-                let below = row.near(component, -1);
-                let fractions = [old.row(below), old.row(row), after.row(below), after.row(row)];
+                let upper = row.near(D - 1, 1);
                 let u = self.velocity[component].row(row);
+                let middle: [[&[R]; 2]; D] = if D == 3 {
+                    [[along.row(row), along.row(row.near(1, 1))]; D]
+                } else {
+                    [[u; 2]; D]
+                };
+                let (old, after) = self.fractions;
+                let lower = row.near(component, -1);
+                let fractions = [old.row(lower), old.row(row), after.row(lower), after.row(row)];
                 fill!(
                     before.layout,
                     [new = new[component].line(row)],
-                    transport::momentum_row(new, u, carried, fractions, self.shares)
+                    transport::momentum_row(
+                        new,
+                        cells_of(above.line(upper)),
+                        within,
+                        before.layout.cells[0],
+                        u,
+                        &self.crossing(component, 0, row),
+                        &self.crossing(component, D - 1, upper),
+                        below.row(row),
+                        middle,
+                        fractions,
+                        self.shares,
+                    )
                 );
             }
         }
     }
 
-    /// Momentum of a `component` across the lower sides of a row of its cells along `axis`.
-    fn across(&self, out: &mut Ring<R, D>, component: usize, axis: usize, row: Row<D>) {
-        let below = row.near(component, -1);
+    /// What carries a `component` across the lower sides of a row of its cells along `axis`.
+    #[inline(always)]
+    fn crossing(&self, component: usize, axis: usize, row: Row<D>) -> Crossing<'_, R> {
+        let lower = row.near(component, -1);
         let (flux, velocity) = (&self.flux[axis], &self.velocity[axis]);
-        fill!(
-            self.layout,
-            [out = out.line(row)],
-            transport::carry_row(
-                out,
-                Line::at(&self.velocity[component], row, axis),
-                [flux.row(below), flux.row(row)],
-                [velocity.row(below), velocity.row(row)],
-                self.courant[axis],
-            )
-        );
+        Crossing {
+            component: Line::at(&self.velocity[component], row, axis),
+            flux: [flux.row(lower), flux.row(row)],
+            velocity: [velocity.row(lower), velocity.row(row)],
+            courant: self.courant[axis],
+        }
     }
 }

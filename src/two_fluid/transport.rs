@@ -160,9 +160,11 @@ impl<R: Real> Share<R> {
         ]
     }
 
+    /// Of the sums of the fractions on either side of the face, before and after.
     #[inline(always)]
-    fn of(&self, before: R, after: R) -> R {
-        self.constant + self.before * before + self.after * after
+    fn of_sums(&self, before: R, after: R) -> R {
+        let half = R::of(0.5);
+        self.constant + half * self.before * before + half * self.after * after
     }
 
     /// The gas's share a part `t` through the step.
@@ -185,50 +187,102 @@ simd! {
     }
 }
 
+/// What carries one velocity component of a phase across the lower sides of the component's cells along one
+/// axis. Means of the pairs of fluxes and velocities cross there.
+#[derive(Clone, Copy)]
+pub(super) struct Crossing<'a, R> {
+    pub(super) component: Line<'a, R>,
+    /// Volume fluxes of the phase along the axis \[m/s\].
+    pub(super) flux: [&'a [R]; 2],
+    /// Its velocities along the axis \[m/s\].
+    pub(super) velocity: [&'a [R]; 2],
+    /// dt/h along the axis \[s/m\].
+    pub(super) courant: R,
+}
+
+impl<R: Real> Crossing<'_, R> {
+    #[inline(always)]
+    fn cut(&self, n: usize) -> Self {
+        Self {
+            component: self.component.cut(n),
+            flux: cut(self.flux, n),
+            velocity: cut(self.velocity, n),
+            courant: self.courant,
+        }
+    }
+
+    /// Momentum per volume and density that is carried across, times dt/h.
+    #[inline(always)]
+    fn carried(&self, i: usize) -> R {
+        let half = R::of(0.5) * self.courant;
+        let through = half * (self.flux[0][i] + self.flux[1][i]);
+        let crossing = half * (self.velocity[0][i] + self.velocity[1][i]).abs();
+        through * self.component.upwind(through, crossing, i)
+    }
+}
+
 simd! {
-    /// Momentum per volume that one phase carries across the lower sides of the cells of one
-    /// velocity component along one axis, times dt/h. Means of the pairs of fluxes and velocities
-    /// cross there.
-    pub(super) fn carry_row[R: Real](
-        out: &mut [R],
-        carried: Line<'_, R>,
-        flux: [&[R]; 2],
-        velocity: [&[R]; 2],
-        courant: R,
-    ) {
+    /// [`Crossing::carried`] of a row.
+    pub(super) fn carry_row[R: Real](out: &mut [R], crossing: &Crossing<'_, R>) {
         let n = out.len();
-        let carried = carried.cut(n);
-        let (flux, velocity) = (cut(flux, n), cut(velocity, n));
-        let half = R::of(0.5) * courant;
+        let crossing = crossing.cut(n);
         for i in 0..n {
-            let through = half * (flux[0][i] + flux[1][i]);
-            let crossing = half * (velocity[0][i] + velocity[1][i]).abs();
-            out[i] = through * carried.upwind(through, crossing, i);
+            out[i] = crossing.carried(i);
         }
     }
 }
 
 simd! {
     /// One velocity component of a phase after its momentum was carried: the share of a face times
-    /// its velocity is conserved. `carried` crosses the lower and the upper side along each axis;
-    /// `fractions` are φ below and above the face, before and after.
+    /// its velocity is conserved. `fractions` are φ below and above the face, before and after.
+    ///
+    /// What crosses the sides along the first axis is made here, in `within`, which has room for one side
+    /// more than there are cells; `cells` make a row. What crosses the upper sides along the last axis is
+    /// made here and left in `on`; what crosses the lower ones is `below`. In three dimensions `middle`
+    /// crosses the lower and the upper sides along the second axis.
     pub(super) fn momentum_row[R: Real, const D: usize](
         new: &mut [R],
+        on: &mut [R],
+        within: &mut [R],
+        cells: usize,
         u: &[R],
-        carried: [[&[R]; 2]; D],
+        first: &Crossing<'_, R>,
+        last: &Crossing<'_, R>,
+        below: &[R],
+        middle: [[&[R]; 2]; D],
         fractions: [&[R]; 4],
         shares: [Share<R>; 2],
     ) {
         let n = new.len();
-        let u = &u[..n];
-        let carried = by_axis(carried, n);
-        let [below, here, below_new, here_new] = cut(fractions, n);
-        let half = R::of(0.5);
+        let (on, within) = (&mut on[..n], &mut within[..n + 1]);
+        let (first, last) = (first.cut(n), last.cut(n));
+        {
+            let within = &mut within[..n];
+            for i in 0..n {
+                within[i] = first.carried(i);
+            }
+        }
+        // The last side of a row is its first.
+        within[n] = within[n - cells];
+        // In a loop of its own, so that the sides above are in memory when they are asked for: a processor
+        // is slow to hand on what lies across two of its last writes.
         for i in 0..n {
-            let before = half * (below[i] + here[i]);
-            let after = half * (below_new[i] + here_new[i]);
-            let [old, new_share] = [shares[0].of(before, after), shares[1].of(before, after)];
-            let outflow = sum_axes!(D, carried, |[lower, upper], _| upper[i] - lower[i]);
+            on[i] = last.carried(i);
+        }
+        let u = &u[..n];
+        let (lower, upper) = (&within[..n], &within[1..]);
+        let upper = &upper[..n];
+        let (below, [_, [left, right], _]) = (&below[..n], by_axis(middle, n));
+        let [under, here, under_new, here_new] = cut(fractions, n);
+        for i in 0..n {
+            let (before, after) = (under[i] + here[i], under_new[i] + here_new[i]);
+            let old = shares[0].of_sums(before, after);
+            let new_share = shares[1].of_sums(before, after);
+            let mut outflow = upper[i] - lower[i];
+            if D == 3 {
+                outflow += right[i] - left[i];
+            }
+            outflow += on[i] - below[i];
             new[i] = (old * u[i] - outflow) / new_share;
         }
     }
